@@ -21,8 +21,8 @@ from run import write_csv
 from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.cli.bench import evolution_strategy
-from shes.training.build import build_backend
-from shes.training.make_config import make_config
+from shes.runs.build import build_backend
+from shes.runs.make_config import make_config
 
 BACKENDS = ("processes", "ray", "mpi")
 OPEN_MPI = {

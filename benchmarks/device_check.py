@@ -19,9 +19,9 @@ from shes.envs.tasks.task import SimulatorFactory
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.rollout import Rollout
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
 from shes.types import F64Array
 
 ALPHA = 0.001

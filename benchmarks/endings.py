@@ -16,10 +16,10 @@ import numpy as np
 from run import write_csv
 
 import shes
+from shes.runs.build import open_run
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import shipped_names
 from shes.runs.tables import read_csv, read_wall_time
-from shes.training.build import open_run
 
 EPISODES = 200
 STEPS = 500

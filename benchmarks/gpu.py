@@ -30,14 +30,14 @@ from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.tasks.task_options import TaskOptions
+from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.runs.tables import csv_text
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
 from shes.storage import write_atomically
-from shes.training.build import build_algorithm, build_backend
-from shes.training.make_config import make_config
 
 INTEGRATORS = ("euler", "rk4")
 _CHECK_LANES = 1000  # simulations side by side on the device in `check`

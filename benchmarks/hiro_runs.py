@@ -24,9 +24,9 @@ from run import write_csv
 import shes
 from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv, read_wall_time
-from shes.training.make_config import make_config
-from shes.training.train import finish_run
+from shes.runs.train import finish_run
 
 EPISODES = 50
 """Fresh episodes on which the best checkpoint of a run is evaluated."""

@@ -18,9 +18,9 @@ from typing import Any
 from run import write_csv
 
 import shes
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
-from shes.training.make_config import make_config
-from shes.training.train import finish_run
+from shes.runs.train import finish_run
 
 EPISODES = 200
 """Fresh episodes on which the best checkpoint of a run is evaluated."""

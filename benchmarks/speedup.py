@@ -44,9 +44,9 @@ from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
 from shes.es.level import TrainState
 from shes.hierarchy.episodes import EpisodeTask
+from shes.runs.build import build_backend
 from shes.runs.config import TrainConfig
-from shes.training.build import build_backend
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 
 CORES = (24, 48, 96, 120, 240, 360, 480, 600, 1000)
 """Numbers of cores of a projection; the paper's are 48, 240 and 600."""

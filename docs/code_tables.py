@@ -22,8 +22,8 @@ from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.settings import Unasked, setting_fields
-from shes.training.make_config import make_config
 
 _SRC = Path(__file__).parents[1] / "src"
 _TERMINAL = {"NO_COLOR": "1", "TERM": "dumb"}
@@ -70,7 +70,7 @@ def _sections(configs: Mapping[str, TrainConfig], without: Collection[str]) -> I
             continue
         rows = [
             (f"`{each.flag}`", each.text, *(_shown(config.values[each.name]) for config in configs.values()))
-            for each in setting_fields(type(section)).values()
+            for each in map(first.setting, first.to_dict()[name])
             if each.name not in ("env", "preset")
         ]
         title = (type(section).__doc__ or "").partition(".")[0]
@@ -105,7 +105,7 @@ _HYPERPARAMETERS = (
     "minimum_goal_distance",
     *("primitive_view", "goal_encoding", "symmetry", "clock_frequency", "primitive_estimate", "intervals"),
     *("primitive_population_size", "primitive_sigma", "primitive_learning_rate", "primitive_hidden", "fall_price"),
-    *("max_tilt", "hold_tied", "common_random_numbers", "rank_ties", "target", "explore"),
+    *("max_tilt", "common_random_numbers", "rank_ties", "target", "explore"),
 )
 """Settings of the method, in the order of its description."""
 

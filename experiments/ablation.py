@@ -24,7 +24,7 @@ from experiments.design import (
     within,
 )
 from experiments.figures import forest
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 
 ENVS = ("point-gather", "point-maze")
 GROUPS: dict[str, str] = {

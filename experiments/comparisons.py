@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from experiments.results import PlacedResults, RunResults
+from shes.runs.comparison import check_scipy, permutation_test
 from shes.runs.tables import Row
-from shes.training.comparison import check_scipy, permutation_test
 from shes.types import F64Array, IntArray
 from shes.viewing.curves import confidence_interval
 

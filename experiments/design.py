@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
-from shes.training.make_config import make_config, preset_values
+from shes.runs.make_config import make_config, preset_values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -30,8 +30,8 @@ from experiments.paper_settings import (
     WITH_OTHER_GOALS,
     Scale,
 )
+from shes.runs.make_config import make_config
 from shes.runs.tables import Row
-from shes.training.make_config import make_config
 
 METHODS, STEPWISE, TRANSFER, WORKERS = "methods", "steps", "transfer", "workers"
 """Groups of runs."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from experiments.design import SMOKE
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 
 TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
@@ -53,7 +53,7 @@ _POINT_ALONE = {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 40
 """With the changes, for the point's primitive that is trained alone."""
 _PIECES = (
     *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
-    *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
+    *("fall_price", "output_weights", "weight_decay", "controller_view", "controller_output"),
     *("controller_network", "explore", "explore_horizon", "target"),
     *("controller_interval", "minimum_goal_distance", "primitive_population_size", "primitive_sigma"),
     *("primitive_learning_rate", "max_tilt"),
@@ -68,13 +68,13 @@ _STEP_NAMES = {
         *("primitive_estimate", "intervals", "primitive_population_size", "primitive_sigma"),
         "primitive_learning_rate",
     ),
-    "ties": ("output_weights", "weight_decay", "hold_tied"),
-    "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"),
+    "ties": ("output_weights", "weight_decay"),
+    "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay"),
     "goals": ("controller_interval", "controller_output", "minimum_goal_distance"),
     "equivariant": ("controller_view", "controller_network", "hidden", "primitive_hidden"),
 }
 """Settings of the form with the changes that each step adds to the form as published."""
-OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
+OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price")
 """Settings, beside `primitive_...`, that come with a transferred primitive or have no effect on a frozen one."""
 
 

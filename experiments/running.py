@@ -27,14 +27,14 @@ from experiments.summary import summarise
 from shes.backends.named_backends import BACKENDS
 from shes.cores import core_numbers
 from shes.errors import RunFolderError, ShesError, WorkerError
+from shes.runs.comparison import check_scipy
 from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder, check_folder_of_runs
+from shes.runs.folder import RunFolder, check_folder_of_runs, differing
+from shes.runs.progress_display import format_duration
 from shes.runs.sections import WorkerSettings
 from shes.runs.tables import trained_minutes
+from shes.runs.train import finish_run
 from shes.storage import storage_errors
-from shes.training.comparison import check_scipy
-from shes.training.progress_display import format_duration
-from shes.training.train import differing, finish_run
 
 _SHORTEST_MINUTES = 1e-6
 """Minutes in which no generation begins."""

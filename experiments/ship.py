@@ -20,14 +20,14 @@ import numpy as np
 
 from shes.errors import ConfigError, RunFolderError
 from shes.runs import shipped
+from shes.runs.build import open_run
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
+from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENT_FILE, FreshEvaluation, FreshScore, ShippedAgent
 from shes.runs.tables import csv_text, read_csv
 from shes.storage import storage_errors, write_atomically
-from shes.training.build import open_run
-from shes.training.evaluate import Evaluation, evaluate
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _MOST_ROWS = 300

@@ -11,9 +11,9 @@ import numpy as np
 
 from experiments.design import Run
 from experiments.results import RunResults, joined
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import Row, read_csv
-from shes.training.evaluate import evaluate
 
 _COLUMNS = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 

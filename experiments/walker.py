@@ -24,13 +24,13 @@ from experiments.design import (
     within,
 )
 from experiments.figures import forest
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 
 ENV = "ant-flagrun"
 GROUPS: dict[str, str] = {
     "pieces": "the base with one piece left out or changed",
     "form": "the paper's form, alone and with one piece added",
-    "alternatives": "other networks, fitness shapings, rewards and schedule",
+    "alternatives": "other networks, rewards and schedule",
     "sweep": "population, sigma, learning rate and intervals, at half and twice the base",
 }
 BASE = "base"
@@ -112,7 +112,7 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
     branched = {name: base.get(name) for name in whole_episodes}
     config = make_config(ENV, _PRESET, base)
     generations = math.ceil(size.env_steps / config.algorithm.steps_per_generation(config))
-    decay = {"sigma_schedule": "exponential", "sigma_end": base["sigma"] / 5, "schedule_generations": generations}
+    decay = {"sigma_end": base["sigma"] / 5, "schedule_generations": generations}
     return {
         "pieces": _pieces(whole_episodes),
         "form": {
@@ -128,8 +128,6 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
         "alternatives": {
             "hidden-32": Variant("32 hidden units", {"hidden": (32,)}),
             "hidden-64-64": Variant("64 × 64 hidden units", {"hidden": (64, 64)}),
-            "centred-rank": Variant("ranks of all", {"primitive_fitness_shaping": "centred_rank"}),
-            "z-score": Variant("z-scores", {"primitive_fitness_shaping": "z_score"}),
             "metres": Variant("paid in metres", {"primitive_reward": "metres"}),
             "negative-distance": Variant("paid minus the distance", {"primitive_reward": "negative_distance"}),
             "cosine": Variant("paid for the direction", {"primitive_reward": "cosine"}),

@@ -18,13 +18,13 @@ import pytest
 
 from experiments.ship import ship
 from shes.cli import main
+from shes.cli.command_table import find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError
 from shes.runs import shipped
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
-from shes.viewing import render, report, watch
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)
@@ -118,7 +118,7 @@ def test_list_tells_of_runs_that_are_stopped_running_or_damaged(shes, tiny_run, 
     with RunFolder(tmp_path / "runs" / "b").lock():
         found = json.loads(shes("list", tmp_path / "runs", "--json"))["runs"]
     assert [(Path(run["run"]).name, run["state"]) for run in found] == [
-        ("a", "stopped"), ("b", "running"), ("c", "damaged"), ("d", "unreadable"),
+        ("a", "stopped"), ("b", "running"), ("c", "unreadable"), ("d", "unreadable"),
     ]  # fmt: skip
     assert "cannot be read" in found[-1]["problem"]
 
@@ -143,18 +143,16 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     (tmp_path / "another" / "config.json").write_text("{}")
 
     found = {Path(run["run"]).name: run for run in json.loads(shes("list", tmp_path, "--json"))["runs"]}
-    assert {name: run["state"] in ("unregistered", "damaged") for name, run in found.items()} == {
-        "huge": True, "theirs": True, "whole": False,
-    }  # fmt: skip
+    states = {"huge": "unreadable", "theirs": "unreadable", "whole": "finished"}
+    assert {name: run["state"] for name, run in found.items()} == states
     theirs = found["theirs"]
     assert (theirs["env"], theirs["algorithm"]) == ("point-gather", "their-own")
     reached = ("generation", "generations", "env_steps", "best_score")
     assert [theirs[name] for name in reached] == [found["whole"][name] for name in reached]
     assert "unknown algorithm 'their-own'" in theirs["problem"]
     text = shes("list", tmp_path)
-    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unregistered", text)
-    assert "theirs is unregistered: " in text
-    assert json.loads(shes("info", tmp_path / "theirs", "--json")) == theirs
+    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unreadable", text)
+    assert "theirs is unreadable: " in text
     assert "--import MODULE" in text
 
 
@@ -235,25 +233,18 @@ def test_train_makes_a_folder_below_runs_if_none_is_named(shes, tmp_path, monkey
     assert path.name.startswith("point-gather-smoke-seed5-")
 
 
-def test_aliases_and_both_ways_to_write_a_value(shes, tmp_path):
+def test_values_are_written_in_several_ways(shes, tmp_path):
     path = tmp_path / "run"
-    words = ["--preset=smoke", "--workers=2", f"--out={path}", "--hidden", "4", "3", "--sigma=0.5", "--generations=1"]
-    shes("train", "point-gather", *words, "--population-size=4", "--horizon=5", "--backend=serial")
-    config = RunFolder.open(path).read_config()
-    assert (config.run.preset, config.workers.num_workers, config.networks.hidden, config.evolution.sigma) == (
-        "smoke",
-        2,
-        (4, 3),
-        0.5,
-    )
+    words = ["--preset=smoke", "--population_size", "4", "point-gather", "--hidden", "4", "3", "--sigma=0.5"]
+    none = ["--evaluation-horizon", "none", "--no-minimum-goal-distance", "--weight-decay=0", "--backend", "serial"]
+    shes("train", *words, *none, "--workers=2", "--horizon", 5, "--generations=1", f"--out={path}")
+    values = RunFolder.open(path).read_config().values
+    assert values.items() >= {
+        "env": "point-gather", "preset": "smoke", "population_size": 4, "hidden": (4, 3), "sigma": 0.5,
+        "evaluation_horizon": None, "minimum_goal_distance": False, "weight_decay": 0, "num_workers": 2,
+    }.items()  # fmt: skip
     shes("resume", path, "--workers", "3", "--generations", "2")
     assert RunFolder.open(path).read_config().workers.num_workers == 3
-
-
-def test_switches_can_be_turned_off(shes, tmp_path):
-    path = tmp_path / "run"
-    shes("train", "point-gather", *TINY, "--generations", 1, "--no-minimum-goal-distance", "--out", path)
-    assert RunFolder.open(path).read_config().hierarchy.minimum_goal_distance is False
 
 
 def test_minutes_end_a_call_and_resume_goes_on(shes, tmp_path, tiny_run):
@@ -297,35 +288,23 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png", "b.pdf"}
 
 
-def test_flags_may_be_written_with_underscores_before_the_environment_and_none_is_a_value(shes, tmp_path):
-    path = tmp_path / "run"
-    words = ["--preset", "smoke", "--population_size", "4", "point-gather", "--hidden", "4", "3", "--horizon", "5"]
-    none = ["--evaluation-horizon", "none", "--backend", "serial"]
-    shes("train", *words, *none, "--generations", 1, "--no-minimum-goal-distance", "--weight-decay=0", "--out", path)
-    config = RunFolder.open(path).read_config()
-    assert (config.run.env, config.evolution.population_size, config.networks.hidden) == ("point-gather", 4, (4, 3))
-    assert (
-        config.episodes.evaluation_horizon,
-        config.hierarchy.minimum_goal_distance,
-        config.evolution.weight_decay,
-    ) == (None, False, 0)
-
-
 # Ctrl-C.
 
 
-@pytest.mark.parametrize("command", ["train", "resume"])
-def test_ctrl_c_before_the_first_generation_says_how_to_go_on(capsys, tmp_path, tiny_run, monkeypatch, command):
+@pytest.mark.parametrize(
+    ("command", "where"), [("train", "_go_on"), ("resume", "_go_on"), ("train", "build_algorithm")]
+)
+def test_ctrl_c_says_how_to_go_on_if_there_is_a_run(capsys, tmp_path, tiny_run, monkeypatch, command, where):
     def interrupted(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.training.train._go_on", interrupted)
+    monkeypatch.setattr("shes.runs.train._go_on", interrupted)
     path, more = tmp_path / "a run", ["--out", str(tmp_path / "a run")]
     words = ["point-gather", *TINY, *more] if command == "train" else [str(tiny_run), "--generations", "9"]
     assert main([command, *words]) == 130
     out, err = capsys.readouterr()
     found = shlex.quote(str(path)) if command == "train" else tiny_run
-    assert out.endswith(f"Go on: shes resume {found}\n")
+    assert out.endswith(f"Go on: shes resume {found}\n") if where == "_go_on" else out == ""
     assert err == "Interrupted.\n"
 
 
@@ -333,7 +312,7 @@ def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeyp
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.training.train.build_algorithm", interrupted)
+    monkeypatch.setattr("shes.runs.train.build_algorithm", interrupted)
     assert main(["train", "point-gather", *TINY, "--out", str(tmp_path / "run")]) == 130
     assert capsys.readouterr() == ("", "Interrupted.\n")
 
@@ -341,60 +320,39 @@ def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeyp
 # Videos and windows: what is behind them has its own tests.
 
 
-def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch):
-    given = []
-
-    @wraps(render.render)
-    def fake(runs, *, out, on_step, **keywords):
-        on_step(1, 2)
-        given.append((runs, out, keywords))
-        return out
-
-    monkeypatch.setattr(render, "render", fake)
-    assert shes("render", "a run") == "Video: walk.mp4\n"
-    rest = ["--camera", "top", "--episode", 3, "--seed", 7, "--size", 240, "--steps", 50, "--out", "b.mp4"]
-    rest += ["--speed", 2, "--sensors"]
-    assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", "b", *rest) == "Video: b.mp4\n"
-    plain = {"checkpoints": ("best",), "camera": "both", "episode": 0, "seed": None, "size": 480}
-    asked = {"checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240}
-    assert given == [
-        (("a run",), "walk.mp4", {**plain, "steps": None, "speed": 1.0, "sensors": False}),
-        (("a run", "b"), "b.mp4", {**asked, "steps": 50, "speed": 2.0, "sensors": True}),
-    ]
+HANDED_ON = {
+    "render": (
+        ["--checkpoint", "0", "last", "--out=x.mp4", "a run", "b", "--camera", "top", "--episode", 3, "--seed", 7,
+         "--size", 240, "--steps", 50, "--out", "b.mp4", "--speed", 2, "--sensors"],
+        {"runs": ("a run", "b"), "checkpoints": ("0", "last"), "camera": "top", "episode": 3,
+         "seed": 7, "size": 240, "steps": 50, "speed": 2.0, "sensors": True, "out": "b.mp4"},
+    ),
+    "watch": (
+        ["a run", "--checkpoint", "12", "--seed", 3],
+        {"run": "a run", "checkpoint": "12", "seed": 3},
+    ),
+    "report": (
+        ["a run", "b", "--out", "a.html", "--episodes", 7, "--seed", 3, "--workers", 2,
+         "--no-video"],
+        {"runs": ("a run", "b"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False,
+         "out": "a.html"},
+    ),
+}  # fmt: skip
 
 
-def test_watch_hands_on_its_flags(shes, monkeypatch):
-    given = []
+@pytest.mark.parametrize("command", HANDED_ON)
+def test_a_command_hands_on_its_flags(monkeypatch, command):
+    words, expected = HANDED_ON[command]
+    function, given = find_command(command), []
 
-    @wraps(watch.watch)
-    def fake(*, run, **keywords):
-        given.append((run, keywords))
+    @wraps(function)
+    def fake(**values):
+        values.pop("on_step", None)
+        given.append(values)
 
-    monkeypatch.setattr(watch, "watch", fake)
-    shes("watch", "a run")
-    shes("watch", "a run", "--checkpoint", "12", "--seed", 3)
-    assert given == [
-        ("a run", {"checkpoint": "best", "seed": None}),
-        ("a run", {"checkpoint": "12", "seed": 3}),
-    ]
-
-
-def test_report_hands_on_its_flags_and_says_where_the_page_is(shes, monkeypatch):
-    given = []
-
-    @wraps(report.report)
-    def fake(runs, *, on_step, out, **keywords):
-        on_step(1, 2)
-        given.append((runs, out, keywords))
-        return "report.html"
-
-    monkeypatch.setattr(report, "report", fake)
-    rest = ["--out", "a.html", "--episodes", 7, "--seed", 3, "--workers", 2, "--no-video"]
-    assert shes("report", "a run") == "Report: report.html\n"
-    assert shes("report", "a run", "b", *rest) == "Report: report.html\n"
-    plain = {"episodes": 20, "seed": None, "num_workers": 0, "video": True}
-    asked = {"episodes": 7, "seed": 3, "num_workers": 2, "video": False}
-    assert given == [(("a run",), None, plain), (("a run", "b"), "a.html", asked)]
+    monkeypatch.setattr(sys.modules[function.__module__], command, fake)
+    assert main([command, *map(str, words)]) == 0
+    assert given == [expected]
 
 
 # Modules of the user.

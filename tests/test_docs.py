@@ -21,9 +21,9 @@ from shes.cli.command_table import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
+from shes.runs.make_config import make_config
 from shes.runs.sections import known_settings
 from shes.settings import flag, setting_fields
-from shes.training.make_config import make_config
 from tests.browser import find_browser, layout_faults
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build

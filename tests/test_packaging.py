@@ -8,7 +8,7 @@ import pytest
 
 from shes.cli import command_table
 from shes.hierarchy import goals, outputs, rewards
-from shes.training import export
+from shes.runs import export
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

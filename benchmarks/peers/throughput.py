@@ -55,8 +55,8 @@ def shes_speeds(cores: int, seconds: float) -> list[float]:
     """Return the steps per second of generations of SHES."""
     from shes.algorithms.evolution.algorithm import evolve
     from shes.cli.bench import evolution_strategy
-    from shes.training.build import build_backend
-    from shes.training.make_config import make_config
+    from shes.runs.build import build_backend
+    from shes.runs.make_config import make_config
 
     settings = {"algorithm": "es", "hidden": (HIDDEN, HIDDEN), "population_size": POPULATION, "horizon": STEPS}
     config = make_config("ant-gather", "laptop", {**settings, "num_workers": cores, "sigma": SIGMA})

@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import shes
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 
 ENV, NAME, HORIZON = "shes/AntFlagrun-v0", "ant-flagrun", 500
 EPISODES, SEED = 50, 10_000  # of an evaluation

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
-    from shes.training.evaluate import Evaluation, evaluate
-    from shes.training.export import export
-    from shes.training.listening import StopTraining
-    from shes.training.loaded_agent import Agent, load
-    from shes.training.train import Run, resume, train
+    from shes.runs.evaluate import Evaluation, evaluate
+    from shes.runs.export import export
+    from shes.runs.listeners import StopTraining
+    from shes.runs.loaded_agent import Agent, load
+    from shes.runs.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
     from shes.viewing.report import report
@@ -59,13 +59,13 @@ __all__ = [
 
 # Imported on first access: worker processes import this package, too, but need none of these.
 _HOMES = {
-    "Agent": "shes.training.loaded_agent",
-    "Evaluation": "shes.training.evaluate",
-    "Run": "shes.training.train",
-    "StopTraining": "shes.training.listening",
-    "evaluate": "shes.training.evaluate",
-    "export": "shes.training.export",
-    "load": "shes.training.loaded_agent",
+    "Agent": "shes.runs.loaded_agent",
+    "Evaluation": "shes.runs.evaluate",
+    "Run": "shes.runs.train",
+    "StopTraining": "shes.runs.listeners",
+    "evaluate": "shes.runs.evaluate",
+    "export": "shes.runs.export",
+    "load": "shes.runs.loaded_agent",
     "plot": "shes.viewing.plot",
     "register_algorithm": "shes.algorithms.registry",
     "register_controller_output": "shes.hierarchy.outputs",
@@ -75,8 +75,8 @@ _HOMES = {
     "register_primitive_reward": "shes.hierarchy.rewards",
     "render": "shes.viewing.render",
     "report": "shes.viewing.report",
-    "resume": "shes.training.train",
-    "train": "shes.training.train",
+    "resume": "shes.runs.train",
+    "train": "shes.runs.train",
 }
 
 

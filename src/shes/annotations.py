@@ -101,24 +101,18 @@ class Needs:
 
 def range_in_words(kind: Any, notes: tuple[Any, ...], *, is_many: bool = False) -> str:
     """Return the allowed numbers in words: `a whole number of at least 1`, `more than 0 and less than 1`."""
-    noun = {(int, False): "a whole number", (int, True): "whole numbers", (float, True): "numbers"}.get(
-        (kind, is_many), "a number"
-    )
+    noun = ("whole numbers" if is_many else "a whole number") if kind is int else ("numbers" if is_many else "a number")
     low = next((note for note in notes if isinstance(note, Gt | Ge)), None)
     high = next((note for note in notes if isinstance(note, Lt | Le)), None)
-    if low is None or (high is None and is_many):
-        words = noun if low is None else f"positive {noun}"
-    elif high is not None:
-        words = _between(noun if kind is int or is_many else "", low, high)
-    elif kind is float and low.bound == 0:
-        words = "a positive number" if isinstance(low, Gt) else "zero or a positive number"
-    else:
-        words = f"{noun} {'greater than' if isinstance(low, Gt) else 'of at least'} {low.bound:g}"
-    return words
-
-
-def _between(noun: str, low: Gt | Ge, high: Lt | Le) -> str:
-    """Return the numbers between two bounds in words."""
+    if low is None:
+        return noun
+    if high is None:
+        if is_many:
+            return f"positive {noun}"
+        if kind is float and low.bound == 0:
+            return "a positive number" if isinstance(low, Gt) else "zero or a positive number"
+        return f"{noun} {'greater than' if isinstance(low, Gt) else 'of at least'} {low.bound:g}"
+    noun = noun if kind is int or is_many else ""
     if isinstance(low, Ge) and isinstance(high, Le):
         return f"{noun} between {low.bound:g} and {high.bound:g}".strip()
     last = f"2**{math.log2(high.bound):g}" if high.bound >= 2**53 else f"{high.bound:g}"

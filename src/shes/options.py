@@ -1,34 +1,19 @@
-"""Options: settings that a registered class brings, such as the momentum of an optimizer.
+"""Options: settings that a registered class brings, such as how ranks treat ties.
 
-A class brings settings by being a subclass of `Settings`, or by an attribute `Options` that is one:
-
-```python
-@dataclass(frozen=True, kw_only=True)
-class SGD(Optimizer, Settings):
-    momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
-    "Momentum."
-```
-
-The first is for classes that are nothing but their values, such as rewards and optimizers; the second for classes whose
-objects have a state and are made with other arguments: tasks, bodies and backends. An algorithm, which has many, sorts
-its settings into `sections`.
-
-Registering the class is enough: its options become settings of the section in which the class can be chosen. An option
-has a name of its own; classes of one registry may share an option if its type, default and range are the same.
+A class that is nothing but its values, such as a reward, is itself a `Settings` dataclass. A class whose objects have a
+state, such as a task, a body or a backend, has an attribute `Options` that is one. Registering the class is enough: its
+options become settings of the section in which it can be chosen. Classes of one registry may share an option.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, field, make_dataclass
-from functools import cache
-from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
+from dataclasses import MISSING, replace
+from typing import Any, NamedTuple, TypeVar
 
 from shes.errors import ConfigError
 from shes.registry import Registry, check_class, full_name
-from shes.settings import Choices, Needs, Setting, Settings, Shared, Unasked, setting_fields
-
-__all__ = ["TAKEN", "check_options", "make", "options_of", "subclass_of", "with_options"]
+from shes.settings import Choices, Needs, Setting, Settings, Unasked, setting_fields
 
 T = TypeVar("T")
 
@@ -40,12 +25,7 @@ TAKEN = frozenset({
 
 
 def make(registry: Registry[type[T]], name: str, values: Mapping[str, Any]) -> T:
-    """Return an object of the class registered as `name`, with those of `values` that are its own settings.
-
-    Raises:
-        UnknownNameError: There is no such class.
-        ConfigError: A value is not allowed.
-    """
+    """Return an object of the class registered as `name`, with those of `values` that are its own settings."""
     cls: Any = registry.find(name)
     made: Any = cls.of(values) if issubclass(cls, Settings) else cls()
     return made
@@ -74,93 +54,75 @@ def subclass_of(
 
 
 def check_options(cls: Any) -> None:
-    """Check the options of a class.
-
-    Raises:
-        ConfigError: An option has an unsupported type, no default, or a name that is taken.
-    """
+    """Raise ConfigError if an option of a class has an unsupported type, no default, or a name that is taken."""
     for name, option in options_of(cls).items():
+        whose = f"option {name!r} of {full_name(option.owner)}"
         if option.default is MISSING:
-            raise ConfigError(f"option {name!r} of {full_name(option.owner)} has no default. Give it one.")
+            raise ConfigError(f"{whose} has no default. Give it one.")
         if name in TAKEN or hasattr(Settings, name):
-            raise ConfigError(
-                f"option {name!r} of {full_name(option.owner)} has a name that is taken by an argument or a flag of "
-                "SHES. Choose another name."
-            )
+            raise ConfigError(f"{whose} has a name that is taken by an argument or a flag. Choose another name.")
 
 
-def with_options(sections: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:
-    """Return `sections` with the options of the classes that can be chosen in them.
+def with_options(sections: Mapping[str, type[Settings]]) -> dict[str, dict[str, Setting]]:
+    """Return the settings of each section by name: its fields, and the options of classes that it can choose.
 
-    An option belongs to the settings section of the first setting that selects its class. It needs one of the choices
-    that have it.
+    An option belongs to the section of the first setting that selects its class. It needs one of the choices that have
+    it.
 
     Raises:
         ConfigError: An option has the name of another setting.
     """
-    section_of = {name: section for section, cls in sections.items() for name in setting_fields(cls)}
-    homes: dict[str, _Home] = {}
+    found = {
+        section: {name: each for name, each in setting_fields(cls).items() if not each.has(Unasked)}
+        for section, cls in sections.items()
+    }
+    homes = {name: section for section, own in found.items() for name in own}
+    options: dict[str, _Option] = {}
     needs: dict[str, dict[str, tuple[str, ...]]] = {}
-    for section, setting, registry in _choosing(sections):
-        for choice, entry in registry.items():
-            for name, option in options_of(entry).items():
-                if name in section_of and not option.has(Shared):
-                    raise ConfigError(
-                        f"{name!r} is an option of {registry.kind} {choice!r}, but already a setting of section "
-                        f"{section_of[name]!r}. Choose another name for the option."
-                    )
-                if name not in section_of and not option.has(Unasked):
-                    home = homes.setdefault(name, _Home(section, registry, choice, option))
-                    home.check_same(registry, choice, option)
-                    choices = needs.setdefault(name, {})
-                    choices[setting.name] = (*choices.get(setting.name, ()), choice)
-    added: dict[str, list[tuple[Setting, tuple[Needs, ...]]]] = {section: [] for section in sections}
-    for name, home in homes.items():
-        added[home.section].append((home.option, tuple(Needs(*each) for each in needs[name].items())))
-    return {section: _extended(cls, tuple(added[section])) for section, cls in sections.items()}
+    for each in list(_options_in(found)):
+        name = each.setting.name
+        if name in homes:
+            raise ConfigError(
+                f"{name!r} is an option of {each.registry.kind} {each.choice!r}, but already a setting of section "
+                f"{homes[name]!r}. Choose another name for the option."
+            )
+        options.setdefault(name, each).check_same(each)
+        choices = needs.setdefault(name, {})
+        choices[each.chooser] = (*choices.get(each.chooser, ()), each.choice)
+    for name, each in options.items():
+        notes = (*each.setting.notes, *(Needs(*need) for need in needs[name].items()))
+        found[each.section][name] = replace(each.setting, notes=notes)
+    return found
 
 
-class _Home(NamedTuple):
-    """Where an option belongs: the section, and the first choice that has the option."""
+class _Option(NamedTuple):
+    """An option, and where it is found: the section, the setting that chooses its class, and the class."""
 
     section: str
+    chooser: str
     registry: Registry[Any]
     choice: str
-    option: Setting
+    setting: Setting
 
-    def check_same(self, registry: Registry[Any], choice: str, option: Setting) -> None:
-        """Raise ConfigError if `option`, of another choice with an option of this name, is another one."""
-        if registry is self.registry and option.definition == self.option.definition:
-            return
-        fix = "Give both the same type, default and range, or choose" if registry is self.registry else "Choose"
-        raise ConfigError(
-            f"{option.name!r} is an option of {self.registry.kind} {self.choice!r} and a different one of "
-            f"{registry.kind} {choice!r}. {fix} another name for one of them."
-        )
-
-
-def _choosing(sections: Mapping[str, type[Settings]]) -> Iterator[tuple[str, Setting, Registry[Any]]]:
-    """Yield each setting that chooses a registered class, with its section and the registry."""
-    for section, cls in sections.items():
-        for setting in setting_fields(cls).values():
-            for note in setting.notes:
-                if isinstance(note, Choices) and isinstance(note.names, Registry):
-                    yield section, setting, note.names
+    def check_same(self, other: _Option) -> None:
+        """Raise ConfigError if `other`, of the same name, is a different option."""
+        mine, theirs = ((each.registry.kind, each.setting.hint, each.setting.default) for each in (self, other))
+        if mine != theirs:
+            raise ConfigError(
+                f"{self.setting.name!r} is an option of {self.registry.kind} {self.choice!r} and a different one of "
+                f"{other.registry.kind} {other.choice!r}. Choose another name for one of them. Only classes of one "
+                "kind may share an option, of the same type, default and range."
+            )
 
 
-@cache
-def _extended(section: type[Settings], options: tuple[tuple[Setting, tuple[Needs, ...]], ...]) -> type[Settings]:
-    """Return `section` with `options` as further fields, each with the choices that it needs."""
-    if not options:
-        return section
-    made = [
-        (
-            option.name,
-            Annotated[get_type_hints(option.owner, include_extras=True)[option.name], *needs],
-            field(default=option.default),
-        )
-        for option, needs in options
-    ]
-    owners = [option.owner for option, _ in options]
-    namespace = {"__doc__": section.__doc__, "__module__": section.__module__, "_option_classes": owners}
-    return make_dataclass(section.__name__, made, bases=(section,), namespace=namespace, frozen=True, kw_only=True)
+def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Option]:
+    """Yield the options of every class that one of `settings`, by section, can choose."""
+    for section, own in settings.items():
+        for chooser in own.values():
+            for note in chooser.all_of(Choices):
+                if not isinstance(note.names, Registry):
+                    continue
+                for choice, cls in note.names.items():
+                    for option in options_of(cls).values():
+                        if not option.has(Unasked):
+                            yield _Option(section, chooser.name, note.names, choice, option)

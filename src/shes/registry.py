@@ -27,8 +27,8 @@ class Registry(MutableMapping[str, T]):
         Args:
             kind: Kind of the entries in messages, e.g. `goal encoding`.
             entries: Initial entries by name.
-            fix: Advice for an unknown name: the flag to set, how to register.
-            check: Called with the kind and an entry. Raises ConfigError for an invalid entry.
+            fix: Advice for an unknown name.
+            check: Raises ConfigError for an invalid entry, given `kind` and the entry.
         """
         self.kind = kind
         self._fix = fix
@@ -37,10 +37,9 @@ class Registry(MutableMapping[str, T]):
         self.update(entries)
 
     def register(self, name: str, entry: T) -> None:
-        """Add `entry` as `name`. A class or function with the same full name as the existing entry replaces it.
+        """Add `entry` as `name`; raise ConfigError if it is invalid, or the name is malformed or already taken.
 
-        Raises:
-            ConfigError: The entry is invalid, or the name is malformed or already taken.
+        A class or function with the full name of the existing entry replaces it.
         """
         self._check(self.kind, entry)
         check_name_form(self.kind, name)
@@ -50,10 +49,9 @@ class Registry(MutableMapping[str, T]):
         self._entries[name] = entry
 
     def find(self, name: str, *, kind: str = "", fix: str = "") -> T:
-        """Return the entry called `name`. `kind` and `fix` replace those of the registry in the message.
+        """Return the entry called `name`, or raise UnknownNameError, which lists the known names, the nearest first.
 
-        Raises:
-            UnknownNameError: There is no such entry. The message lists the known names, the nearest first.
+        `kind` and `fix` replace those of the registry in the message.
         """
         if name not in self._entries:
             raise UnknownNameError(kind or self.kind, str(name), self._entries, fix or self._fix)
@@ -79,11 +77,7 @@ class Registry(MutableMapping[str, T]):
 
 
 def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()) -> None:
-    """Check that `cls` is a complete subclass of `contract`, constructed with `num_arguments` and `keywords`.
-
-    Raises:
-        ConfigError: It is not a subclass, lacks a method or a class attribute, or needs other arguments.
-    """
+    """Raise ConfigError unless `cls` is a complete subclass of `contract`, made with `num_arguments` and `keywords`."""
     if not (isinstance(cls, type) and issubclass(cls, contract)):
         article = "an" if kind[0] in "aeiou" else "a"
         raise ConfigError(
@@ -111,11 +105,7 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
 
 
 def check_name_form(kind: str, name: object) -> None:
-    """Check that `name` consists of lower-case words.
-
-    Raises:
-        ConfigError: It does not.
-    """
+    """Raise ConfigError unless `name` consists of lower-case words."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ConfigError(
             f"{kind} name must be lower-case words of letters and digits, joined by - or _, got {name!r}. "

@@ -13,15 +13,17 @@ arguments of a function are checked alike if it is decorated with `shes.checked.
 
 from __future__ import annotations
 
+import ast
 import inspect
+import linecache
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
-from textwrap import wrap
+from itertools import pairwise
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -41,11 +43,12 @@ from shes.annotations import (
     range_in_words,
 )
 from shes.errors import ConfigError, UnknownNameError
-from shes.field_texts import field_texts
 from shes.registry import Registry, full_name
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
-__all__ += ["Shown", "Unasked", "described", "flag", "out_of_range", "registered", "setting_fields"]
+__all__ += ["Shown", "Unasked", "described", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
+
+NoteT = TypeVar("NoteT")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,6 +56,8 @@ class Setting:
     """The description of a field of a `Settings` class, or of a parameter."""
 
     name: str
+    hint: Any
+    """Its annotation."""
     kind: Any
     """Type of a value other than None: `float`, `tuple`, ..."""
     item: Any
@@ -62,68 +67,55 @@ class Setting:
     is_optional: bool
     """Whether the value may be None."""
     default: Any
-    """Default value; `dataclasses.MISSING` if the setting is required."""
+    """`dataclasses.MISSING` if the setting is required."""
     notes: tuple[Any, ...]
-    """Annotations."""
+    """The annotations inside `hint`."""
     owner: Any
-    """The class of which it is a field, or the function of which it is a parameter."""
+    """The class of the field, or the function of the parameter."""
 
     @property
     def text(self) -> str:
         """The docstring under the field, on one line, and what each of the choices is."""
-        described = (note.names for note in self.notes if isinstance(note, Choices) and note.is_described)
         choices = "; ".join(
-            f"{name}: {_summary(cls)}" for names in described for name, cls in registered(names).items()
+            f"{name}: {_summary(cls)}"
+            for note in self.all_of(Choices)
+            if note.is_described
+            for name, cls in registered(note.names).items()
         )
         return " ".join(filter(None, (field_texts(self.owner).get(self.name, ""), choices and choices + ".")))
-
-    def brief(self, end: str, width: int) -> str:
-        """Return `text`; if it and `end` exceed two lines of `width`, its first sentence, maybe without parentheses.
-
-        All names of choices that `text` explains are kept; if it names none, they are added.
-        """
-        explained, full = [name for name in self.choices if name in self.text], self.text
-        if self.choices and not explained:
-            explained, full = list(self.choices), f"{full.rstrip('.')}: {', '.join(self.choices)}."
-        sentence = re.split(r"(?<=\.)\s", full, maxsplit=1)[0]
-        shorter = [sentence, re.sub(r" \([^()]*\)", "", sentence)]
-        texts = [full, *(text for text in shorter if all(name in text for name in explained))]
-        return next((text for text in texts if len(wrap(f"{text} {end}", width)) <= 2), texts[-1])
 
     @property
     def flag(self) -> str:
         """The flag on the command line."""
-        return next((note.flag for note in self.notes if isinstance(note, Shown) and note.flag), flag(self.name))
+        return next((note.flag for note in self.all_of(Shown) if note.flag), flag(self.name))
 
     @property
     def choices(self) -> tuple[str, ...]:
         """Allowed names; empty if any value of the type is allowed."""
-        return tuple(name for note in self.notes if isinstance(note, Choices) for name in note.names)
-
-    @property
-    def definition(self) -> tuple[Any, ...]:
-        """Its type, default and range."""
-        bounds = frozenset(note for note in self.notes if isinstance(note, Bound))
-        return self.kind, self.item, self.length, self.is_optional, self.default, bounds, self.choices
+        return tuple(name for note in self.all_of(Choices) for name in note.names)
 
     @property
     def needs(self) -> tuple[Needs, ...]:
         """Settings without which it has no effect."""
-        return tuple(note for note in self.notes if isinstance(note, Needs))
-
-    def has(self, note: type) -> bool:
-        """Return whether it has an annotation of type `note`."""
-        return any(isinstance(each, note) for each in self.notes)
+        return tuple(self.all_of(Needs))
 
     @property
     def is_everyday(self) -> bool:
         """Whether the short help shows it."""
-        return any(isinstance(note, Shown) and note.everyday for note in self.notes)
+        return any(note.everyday for note in self.all_of(Shown))
 
     @property
     def can_be_empty(self) -> bool:
         """Whether its value may be an empty tuple: no hidden layers."""
         return self.kind is tuple and self.length is None and self.item is int
+
+    def all_of(self, note: type[NoteT]) -> Iterator[NoteT]:
+        """Yield its annotations of type `note`."""
+        return (each for each in self.notes if isinstance(each, note))
+
+    def has(self, note: type) -> bool:
+        """Return whether it has an annotation of type `note`."""
+        return any(self.all_of(note))
 
     def checked(self, value: Any) -> Any:
         """Return `value`, with NumPy types and lists converted to built-in types and tuples.
@@ -134,19 +126,24 @@ class Setting:
             ConfigError: The value is not allowed.
             UnknownNameError: The value is an unknown name.
         """
-        value = _plain(value)
-        if value is None and self.is_optional:
-            return None
-        if self.kind is tuple and self.length is None and isinstance(value, int | float):
+        plain = _plain(value)
+        return None if plain is None and self.is_optional else self._checked(plain)
+
+    def _checked(self, value: Any) -> Any:
+        """Return `value`, which is plain and not None by choice."""
+        if known := next(self.all_of(Choices), None):
+            return self._checked_name(value, known)
+        if self.kind is not tuple:
+            if not self._is_item(value):
+                raise out_of_range(self.name, value, self.allowed, self.flag)
+            return float(value) if self.item is float else value
+        if self.length is None and isinstance(value, int | float):
             value = (value,)
-        for note in self.notes:
-            if isinstance(note, Choices):
-                return self._checked_name(value, note)
-        if not (self._is_tuple(value) if self.kind is tuple else self._is_item(value)):
+        if not isinstance(value, tuple) or self.length not in (None, len(value)) or not (value or self.can_be_empty):
             raise out_of_range(self.name, value, self.allowed, self.flag)
-        if self.item is float:
-            return tuple(map(float, value)) if self.kind is tuple else float(value)  # type: ignore[arg-type] - checked
-        return value
+        if not all(map(self._is_item, value)):
+            raise out_of_range(self.name, value, self.allowed, self.flag)
+        return tuple(map(float, value)) if self.item is float else value
 
     def _checked_name(self, value: Any, known: Choices) -> str:
         if not isinstance(value, str):
@@ -157,24 +154,13 @@ class Setting:
             raise UnknownNameError(kind, value, known.names, fix)
         return value
 
-    def _is_tuple(self, value: Any) -> bool:
-        """Return whether `value` is an allowed tuple."""
-        if not isinstance(value, tuple) or (self.length is not None and len(value) != self.length):
-            return False
-        return (bool(value) or self.can_be_empty) and all(map(self._is_item, value))
-
     def _is_item(self, value: Any) -> bool:
-        """Return whether `value` has the type of an item and is within the bounds; a bool is not a number.
-
-        Raises:
-            ConfigError: It is a whole number of 2**63 or more.
-        """
+        """Return whether `value` has the type of an item and is within the bounds; a bool is not a number."""
         if self.item not in (int, float):
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
-        bounds = (note for note in self.notes if isinstance(note, Bound))
-        if not all(note.compare(value, note.bound) for note in bounds):
+        if not all(note.compare(value, note.bound) for note in self.all_of(Bound)):
             return False
         if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
             raise out_of_range(self.name, value, "less than 2**63", self.flag)
@@ -183,14 +169,11 @@ class Setting:
     @property
     def allowed(self) -> str:
         """The allowed values in words, for error messages."""
-        example = next((f", e.g. {self.flag} {note.text}" for note in self.notes if isinstance(note, Example)), "")
-        if self.kind is tuple:
-            count = "" if self.length is None else f"{self.length} "
-            return f"{count}{range_in_words(self.item, self.notes, is_many=True)}{example}"
-        words = {bool: "true or false", str: "a name"}
+        count = f"{self.length} " if self.length else ""
+        words = {bool: "true or false", str: "a name"}.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
         if self.item in (int, float):
-            return range_in_words(self.item, self.notes) + example
-        return words.get(self.item, f"a {getattr(self.item, '__name__', self.item)}") + example
+            words = range_in_words(self.item, self.notes, is_many=self.kind is tuple)
+        return count + words + "".join(f", e.g. {self.flag} {note.text}" for note in self.all_of(Example))
 
 
 def flag(name: str) -> str:
@@ -208,12 +191,7 @@ class Settings:
     """Base class of settings: a frozen dataclass that checks its values on construction."""
 
     def __post_init__(self) -> None:
-        """Check and convert every value; see `Setting.checked`.
-
-        Raises:
-            ConfigError: A value is not allowed.
-            UnknownNameError: A value is an unknown name.
-        """
+        """Check and convert every value; see `Setting.checked`."""
         for setting in setting_fields(type(self)).values():
             object.__setattr__(self, setting.name, setting.checked(getattr(self, setting.name)))
         self.check()
@@ -229,14 +207,6 @@ class Settings:
     def of(cls, values: Mapping[str, Any]) -> Self:
         """Return the settings of this class among `values`, by name; other names are ignored."""
         return cls(**{name: values[name] for name in setting_fields(cls) if name in values})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the values as JSON types, without `Unasked` fields."""
-        return {
-            name: _as_json(getattr(self, name))
-            for name, setting in setting_fields(type(self)).items()
-            if not setting.has(Unasked)
-        }
 
 
 @cache
@@ -269,42 +239,21 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
         notes += inner
     item, length = kind, None
     if get_origin(kind) is tuple:
-        item, length, inner = _items(get_args(kind))
+        first, *others = get_args(kind) or (None,)
+        item, inner = _unwrapped(first)
+        if others != [...]:
+            length = 1 + len(others)
+            item = item if set(others) <= {first} else None  # several types
         kind, notes = tuple, notes + inner
     if get_origin(kind) is Literal and all(isinstance(name, str) for name in get_args(kind)):
         kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
-    return Setting(
-        name=name,
-        kind=kind,
-        item=item,
-        length=length,
-        is_optional=is_optional,
-        default=default,
-        notes=notes,
-        owner=owner,
-    )
-
-
-def _items(kinds: tuple[Any, ...]) -> tuple[Any, int | None, tuple[Any, ...]]:
-    """Return the type of the items of a tuple, their number if it is fixed, and their annotations.
-
-    The type is None if there is none, or if there are several.
-    """
-    length = None if kinds[1:] == (...,) else len(kinds)
-    if length is not None and len(set(kinds)) != 1:
-        return None, length, ()
-    item, notes = _unwrapped(kinds[0])
-    return item, length, notes
+    described = {"kind": kind, "item": item, "length": length, "is_optional": is_optional}
+    return Setting(name=name, hint=hint, default=default, notes=notes, owner=owner, **described)
 
 
 def registered(names: Collection[str]) -> Mapping[str, Any]:
     """Return the registered classes by name, or nothing if `names` is not a registry."""
     return names if isinstance(names, Registry) else {}
-
-
-def _summary(cls: type) -> str:
-    """Return the first sentence of a class's docstring, without its period."""
-    return re.split(r"\.(?:\s|$)", inspect.getdoc(cls) or "", maxsplit=1)[0]
 
 
 def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -324,7 +273,32 @@ def _plain(value: Any) -> Any:
     return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
 
 
-def _as_json(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_as_json(item) for item in value]
-    return value.to_dict() if hasattr(value, "to_dict") else value
+def _summary(cls: type) -> str:
+    """Return the first sentence of a class's docstring, without its period."""
+    return re.split(r"\.(?:\s|$)", inspect.getdoc(cls) or "", maxsplit=1)[0]
+
+
+@cache
+def field_texts(cls: type) -> dict[str, str]:
+    """Return the docstrings under the fields of a dataclass and its base classes, which Python discards."""
+    texts: dict[str, str] = {}
+    for ancestor in reversed(cls.__mro__[:-1]):
+        try:
+            file = _syntax_tree(inspect.getsourcefile(ancestor) or "")
+        except (OSError, TypeError, SyntaxError):
+            continue  # a class defined in a console has no source
+        own = (each for each in ast.walk(file) if isinstance(each, ast.ClassDef) and each.name == ancestor.__name__)
+        for field, below in (pair for each in own for pair in pairwise(each.body)):
+            text = below.value if isinstance(below, ast.Expr) else None
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Constant)
+            ):
+                texts[field.target.id] = " ".join(str(text.value).split())
+    return texts
+
+
+@cache
+def _syntax_tree(file: str) -> ast.Module:
+    return ast.parse("".join(linecache.getlines(file)))

@@ -12,9 +12,9 @@ from shes.errors import CheckpointError
 from shes.es.level import LevelState, RunningEpisodes, TrainState
 from shes.es.optimizers import OPTIMIZERS, OptimizerState
 from shes.es.statistics import ObservationStatistics
+from shes.runs.build import build_algorithm, open_run
 from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
-from shes.training.build import build_algorithm, open_run
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 from tests.e2e import runs
 from tests.hierarchy.formula import bits
 

@@ -1,5 +1,6 @@
 """The search for a way beside evolution: when it goes on, what it costs, and whom its way guides."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -14,12 +15,12 @@ from shes.backends.backend import Backend
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.archive import PATIENCE, Archive
 from shes.hierarchy.episodes import EpisodeResults, Snapshot
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
-from shes.training.build import build_algorithm, build_backend
-from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.hierarchy.made_up import outcomes
-from tests.training.recorder import recording
+from tests.runs.recorder import recording
 
 SEARCH = {
     "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),
@@ -130,8 +131,8 @@ def test_a_frozen_primitive_searches_until_a_way_is_known(quick, monkeypatch):
     later = found[1].env_steps - found[0].env_steps
     assert found[0].env_steps > limited[0].env_steps > later > 0  # afterwards it is one slice
     frozen = {"primitive": "ant-walker", "explore": "archive", "target": (0.0, 16.0)}
-    for settings, slices in ((frozen, way_search.SLICES), ({}, 1)):
-        settings = make_config("ant-maze", "laptop", settings)
+    for asked, slices in ((frozen, way_search.SLICES), ({}, 1)):
+        settings = make_config("ant-maze", "laptop", asked)
         assert build_algorithm(settings).hyperparameters.search.slices == slices
 
 
@@ -202,7 +203,7 @@ def test_the_reward_of_training_leads_through_the_way_alone(quick, tmp_path):
         batch.reset(np.array([0]), [0])
         batch.step(np.array([0]), np.zeros((batch.num_episodes, 2)))
         points = [batch.position[0].tolist(), *guide, batch.target[0].tolist()]
-        legs = [math.dist(one, other) for one, other in zip(points, points[1:], strict=False)]
+        legs = [math.dist(one, other) for one, other in itertools.pairwise(points)]
         skipped = [sum(legs[1:]) + math.dist(points[0], points[1])]
         skipped += [math.dist(points[0], points[i]) + sum(legs[i:]) for i in range(1, len(points))]
         assert min(abs(batch.reward[0] + each) for each in skipped) < 1e-6  # near waypoints are passed at once

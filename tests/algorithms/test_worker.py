@@ -10,8 +10,8 @@ from shes.algorithms.worker import RolloutWorker, lanes_that_fit
 from shes.backends.backend import TaskList
 from shes.errors import StorageError
 from shes.hierarchy.episodes import EpisodeTask, Generation
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.hierarchy.designs import levels_of
 
 SETTINGS = {"hidden": (4,), "controller_interval": 5, "noise_table_size": 5000, "horizon": 6, "evaluation_horizon": 9}

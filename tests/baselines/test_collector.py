@@ -9,8 +9,8 @@ import pytest
 from shes.baselines.collector import Actor
 from shes.envs.registry import find_environment, make_task, register_external
 from shes.errors import ConfigError, DivergenceError
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 
 INTERVAL, HORIZON = 4, 10
 SETTINGS = {"hidden": (5,), "controller_interval": INTERVAL, "horizon": HORIZON, "generation_steps": 50}

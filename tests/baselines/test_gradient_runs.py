@@ -14,15 +14,15 @@ from shes.baselines.td3 import LEARNING, TD3State
 from shes.cli import main
 from shes.envs.markers import GOAL
 from shes.errors import CheckpointError, ConfigError, DivergenceError, MissingExtraError
+from shes.runs.build import build_algorithm, open_run
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.folder import RunFolder
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
-from shes.training.build import build_algorithm, open_run
-from shes.training.make_config import make_config
 from shes.viewing.playback import Playback
 from tests.e2e import runs
-from tests.training.test_export import OnnxAgent, episode, run_exported
+from tests.runs.test_export import OnnxAgent, episode, run_exported
 
 TINY = {
     "preset": "smoke",

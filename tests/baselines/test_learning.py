@@ -22,8 +22,8 @@ from shes.baselines.levels import Level, flat
 from shes.baselines.replay import Replay
 from shes.es.statistics import normalise
 from shes.policies.mlp import RectifiedMLP
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.baselines import reference
 
 pytestmark = pytest.mark.hiro

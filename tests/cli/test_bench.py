@@ -11,8 +11,8 @@ from shes.algorithms.evolution.algorithm import evolve
 from shes.cli import main
 from shes.cli.bench import bench_rollout, record_generation
 from shes.errors import ConfigError
-from shes.training.build import build_algorithm, build_backend
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.make_config import make_config
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "backend": "serial"}
 ALONE = {"primitive_estimate": "interval", "controller_interval": 3}

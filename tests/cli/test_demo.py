@@ -12,7 +12,7 @@ from shes.cli import demo
 from shes.cli.demo import _draw, _show
 from shes.drawing import make_drawer
 from shes.es.streams import Purpose
-from shes.training.evaluate import evaluation_seeds
+from shes.runs.evaluate import evaluation_seeds
 from shes.viewing.playback import Playback
 
 

@@ -1,9 +1,8 @@
-"""The help and the parsing of the command line: readable, quick; every setting of a run is a flag in a group."""
+"""The help and the parsing of the command line: every setting of a run is a flag in the group of its section."""
 
 import re
 import subprocess
 import sys
-from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -11,14 +10,14 @@ import pytest
 
 from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES
 from shes.cli import main, parsing
-from shes.cli.command_table import COMMANDS, EVERYWHERE, find_command
+from shes.cli.command_table import COMMANDS, EVERYWHERE
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
+from shes.runs import comparison, export
+from shes.runs.make_config import make_config
 from shes.runs.sections import execution_settings
-from shes.training import comparison, export
-from shes.training.make_config import make_config
 from shes.viewing import plot, render
 
 
@@ -36,18 +35,19 @@ def shes(capsys, monkeypatch):
     return run
 
 
+def joined(text):
+    """Return a help without frames and line breaks."""
+    return " ".join(text.replace("│", "").split())
+
+
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
-def test_help_names_every_command(shes, words):
+def test_the_overview_names_every_command_and_flag(shes, words):
     text = shes(*words)
     for command in COMMANDS:
         assert re.search(rf"^  {command} +\w", text, re.MULTILINE)
-    assert "First steps: shes train point-gather" in text
     for flag in EVERYWHERE:
         assert re.search(rf"^  (-h, )?{flag} ", text, re.MULTILINE)
-
-
-def test_every_command_is_found():
-    assert all(callable(find_command(name)) for name in COMMANDS)
+    assert "First steps: shes train point-gather" in text
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -55,29 +55,23 @@ def test_every_command_explains_itself(shes, command):
     text = shes(command, "--help")
     assert text.startswith(f"usage: shes {command} ")
     assert "-h, --help" in text
-    assert "and return" not in text  # the result is for callers in Python
+    for word in ("and return", "on_step", "on-step", "`", "Raises"):  # for callers in Python
+        assert word not in text
 
 
-def test_the_help_breaks_lines_where_the_terminal_does_and_not_where_the_source_does(shes, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "1000")
-    text = shes("bench", "--help")
-    assert "relative to a bare mj_step loop on one core, which replays the same episodes. The ratio" in text
-    assert "\n\nshes bench rollout ant-gather --seconds 60\n" in text
-
-
-def test_no_module_of_the_command_line_knows_one_that_knows_it():
-    known = {
-        file.stem: set(re.findall(r"\bcli\.(\w+)", file.read_text())) - {file.stem}
-        for file in Path(parsing.__file__).parent.glob("*.py")
-    }
-    assert "completion" in known["program"]
-    TopologicalSorter(known).prepare()  # raises CycleError
-
-
-def test_the_help_loads_no_slow_package_and_neither_does_the_package():
+def test_help_and_import_load_no_slow_package():
     code = "import sys; from shes.cli import main; main(['--help']); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert {"matplotlib", "mujoco", "rich", "tyro"} & set(done.stdout.splitlines()[-1].split()) == set()
+    slow = {"gymnasium", "matplotlib", "mujoco", "numpy", "rich", "tyro"}
+    assert slow & set(done.stdout.splitlines()[-1].split()) == set()
+
+
+@pytest.mark.parametrize("order", ["import shes, gymnasium", "import gymnasium, shes", "import gymnasium"])
+def test_environments_are_registered_whatever_is_imported_first(order):
+    name = "shes/PointGather-v0" if "shes" in order else "shes:shes/PointGather-v0"
+    code = f"{order}; print(gymnasium.make('{name}').spec.id)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "shes/PointGather-v0\n"
 
 
 def test_the_choices_are_those_there_are():
@@ -90,16 +84,16 @@ def test_the_choices_are_those_there_are():
         assert set(get_args(get_type_hints(function)[name])) == set(known)
 
 
-def test_a_command_has_the_flags_and_the_help_of_the_function_behind_it(shes):
-    text = " ".join(shes("render", "--help").replace("│", "").split())
-    assert "--camera {both,follow,top} Camera. (default: both)" in text
-    assert "Checkpoints: best, last or numbers of generations." in text
-    for word in ("on_step", "on-step", "`", "Raises"):
-        assert word not in text
-
-
-def test_several_runs_are_shown_as_required(shes):
-    assert "left out if others have one. (required)" in " ".join(shes("plot", "--help").replace("│", "").split())
+@pytest.mark.parametrize(
+    ("command", "texts"),
+    [
+        ("render", ["--camera {both,follow,top} Camera. (default: both)", "Checkpoints: best, last or numbers of gen"]),
+        ("plot", ["left out if others have one. (required)"]),
+    ],
+)
+def test_a_command_has_the_help_of_the_function_behind_it(shes, command, texts):
+    text = joined(shes(command, "--help"))
+    assert [each for each in texts if each not in text] == []
 
 
 def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
@@ -127,24 +121,20 @@ def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
     ],
     ids=lambda words: " ".join(words) or "train",
 )
-def test_the_help_of_train_fits_two_screens(shes, words):
+def test_the_short_help_of_train_fits_two_screens(shes, words):
     text = shes("train", *words, "--help")
     assert sum(-(-max(len(line), 1) // 80) for line in text.splitlines()) <= 48
-    _, algorithm, *others = re.split(r"\n  --(?=\w)", text.partition("everyday options")[2])
-    assert algorithm.startswith("algorithm ")
-    assert 7 <= len(others) <= 10
-    for entry in others:
-        assert len(entry.strip().splitlines()) <= 2
-        assert "(default: " in " ".join(entry.split())
+    entries = re.split(r"\n  --(?=\w)", text.partition("everyday options")[2])[1:]
+    assert 8 <= len(entries) <= 11
+    assert all("(default: " in " ".join(entry.split()) for entry in entries)
 
 
-def test_the_help_of_train_shows_what_the_preset_sets(shes):
-    text = shes("train", "point-gather", "--preset", "paper", "--help")
+def test_the_short_help_of_train_shows_what_the_preset_sets(shes):
+    text = joined(shes("train", "point-gather", "--preset", "paper", "--help"))
     assert "preset paper for point-gather" in text
-    assert re.search(r"--sigma FLOAT.*?\(default: 0\.02\)", text, re.DOTALL)
-    assert re.search(r"--population-size INT.*?\(default: 1000\)", text, re.DOTALL)
     assert "--help-all" in text
-    assert "preset laptop for ant-gather" in shes("train", "--help")
+    assert re.search(r"--sigma FLOAT [^-]*\(default: 0\.02\)", text)
+    assert "preset laptop for ant-gather" in joined(shes("train", "--help"))
 
 
 @pytest.mark.parametrize(
@@ -152,12 +142,11 @@ def test_the_help_of_train_shows_what_the_preset_sets(shes):
     [
         (["ant-gather"], "ant-gather", {}),
         (["point-flagrun", "--preset", "smoke"], "point-flagrun", {}),
-        (["ant-push"], "ant-push", {}),
         (["point-fall"], "point-fall", {}),
         (["point-maze", "--algorithm", "es"], "point-maze", {"algorithm": "es"}),
     ],
 )
-def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_section(shes, words, env, settings):
+def test_the_whole_help_shows_every_setting_in_its_group(shes, words, env, settings):
     text = shes("train", *words, "--help-all")
     config = make_config(env, "smoke", settings)
     for section in config.sections:
@@ -167,49 +156,32 @@ def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_sect
     assert ("--primitive-reward" in text) is ("es" not in words)
 
 
-def test_no_group_of_the_help_repeats_its_name(shes):
-    text = shes("train", "--help-all")
-    titles = re.findall(r"^ (\w+) options +\n -+ \n +(.*?) *\n", text, re.MULTILINE)
-    assert ("evolution", "Population and update.") in titles
-    assert [section for section, title in titles if title.rstrip(".").lower() == section] == []
-
-
-def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):
-    short, full = (" ".join(shes("train", flag).replace("│", "").split()) for flag in ("--help", "--help-all"))
-    for text in (
-        "--num-workers INT", "{cpu,warp-cpu,cuda}", "[INT [INT ...]]", "extra warp; for tests", "(paper: 256 256 256)",
-    ):  # fmt: skip
+def test_the_whole_help_says_how_values_are_written(shes):
+    short, full = (joined(shes("train", flag)) for flag in ("--help", "--help-all"))
+    for text in ("--num-workers INT", "--mirrored {quad,pair,none}", "Does not affect results", "shes: Evolves contr"):
         assert (text in short, text in full) == (False, True)
-    for text in ("--workers INT", "cpu, cuda or warp-cpu. (default: cpu)", "(Table I: 1000). (default: 40)"):
-        assert text in short
+    for text in ("--minutes none|FLOAT", "(Table I: 1000). (default: 40)", "--hidden none|INT ..."):
+        assert (text in short, text in full) == (True, True)
+    assert "--env " not in full
+    assert "Population and update." in full
+    assert "(default: none (linear))" in joined(shes("train", "ant-flagrun", "--help-all"))
 
 
-def test_no_values_are_shown_as_a_word(shes):
-    assert "(default: none (linear))" in " ".join(shes("train", "ant-flagrun", "--help-all").split())
-
-
-def test_values_are_written_as_people_write_them(shes):
-    text = shes("train", "--help-all")
-    assert "--mirrored {quad,pair,none}" in text
-    assert "--minutes none|FLOAT" in text
-    assert "--num-workers INT, --workers INT" in text or "--workers INT, --num-workers INT" in text
-    assert "--env " not in text
+def test_resume_takes_the_settings_that_change_no_number(shes):
+    text = shes("resume", "--help")
+    for name, setting in execution_settings().items():
+        assert (setting.flag in text) is (name != "preset")
+    assert "--sigma" not in text
 
 
 @pytest.fixture
 def given(monkeypatch):
-    """Return a function that returns the settings that a command line of `train` gives."""
+    """Return a function that returns environment, settings and seed that a command line of `train` gives."""
     found = []
 
-    def train(env: str, settings: dict, *, out: str = "x") -> int:
-        """Take.
-
-        Args:
-            env: Name.
-            settings: Settings.
-            out: Folder.
-        """
-        found.append(settings)
+    def train(env: str, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path("x")) -> int:
+        """Take."""
+        found.append((env, settings, seed))
         return 0
 
     def run(*words):
@@ -219,20 +191,50 @@ def given(monkeypatch):
     return run
 
 
-def test_only_what_is_written_is_given_even_if_it_is_the_presets_value(given):
-    assert given("point-gather") == {}
-    assert given("point-gather", "--sigma", "0.07", "--workers=2", "--hidden", "4", "3") == {
-        "sigma": 0.07, "num_workers": 2, "hidden": (4, 3),
-    }  # fmt: skip
-    assert given("point-gather", "--no-hold-tied", "--evaluation_horizon=none", "--hidden") == {
-        "hold_tied": False, "evaluation_horizon": None, "hidden": (),
-    }  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ([], {}),
+        (["--sigma", "0.07", "--workers=2", "--hidden", "4", "3"], {"sigma": 0.07, "num_workers": 2, "hidden": (4, 3)}),
+        (
+            ["--no-freeze-primitive", "--evaluation_horizon=none"],
+            {"freeze_primitive": False, "evaluation_horizon": None},
+        ),
+        (["--hidden"], {"hidden": ()}),
+        (["--hidden", "none", "--primitive-hidden", "none"], {"hidden": (), "primitive_hidden": None}),
+        (["--weight-decay", "0", "--fall-price=0"], {"weight_decay": 0.0, "fall_price": 0.0}),
+    ],
+)
+def test_only_what_is_written_is_given_zero_and_none_too(given, words, settings):
+    """Also a value that the preset has."""
+    assert given("point-gather", *words) == ("point-gather", settings, ())
 
 
-def test_no_hidden_layers_are_written_as_they_are_shown(given):
-    assert given("point-gather", "--hidden", "none", "--primitive-hidden", "none") == {
-        "hidden": (), "primitive_hidden": None,
-    }  # fmt: skip
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--primitive", "ant-maze", "ant-push", "--seed", "1", "2"],
+        ["--primitive=ant-maze", "--seed", "1", "2", "ant-push"],
+        ["--out", "point-gather", "--primitive", "ant-maze", "--seed", "1", "2", "ant-push"],
+        ["--seed", "1", "2", "ant-push", "--primitive", "ant-maze", "--out", "point-gather"],
+    ],
+)
+def test_the_value_of_a_flag_is_not_taken_for_the_environment(given, words):
+    assert given(*words) == ("ant-push", {"primitive": "ant-maze"}, (1, 2))
+
+
+@pytest.mark.parametrize("preset", PRESET_NAMES)
+def test_the_value_of_every_setting_can_be_written(given, preset):
+    config = make_config("ant-gather", preset)
+    words, expected = [], {}
+    for name in sorted(config.values.keys() - {"env", "seed"}):
+        value, flag = config.values[name], config.setting(name).flag
+        if isinstance(value, bool):
+            words.append(flag if value else flag.replace("--", "--no-"))
+        else:
+            words += [flag, *(str(item) for item in (value if isinstance(value, tuple) else (value,)))]
+        expected[name] = value
+    assert given("ant-gather", *words) == ("ant-gather", expected, ())
 
 
 @pytest.mark.parametrize(
@@ -246,61 +248,6 @@ def test_no_hidden_layers_are_written_as_they_are_shown(given):
 def test_a_flag_of_several_values_given_twice_is_refused(capsys, words, flag):
     assert main(["train", "point-gather", *words]) == 2
     assert capsys.readouterr() == ("", f"Error: {flag} is given twice. Give it once, with all its values.\n")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--primitive", "ant-maze", "ant-push", "--observe-block", "False"],
-        ["--primitive=ant-maze", "--workers", "2", "--observe-block", "none", "ant-push"],
-        ["--out", "point-gather", "point-maze", "--target", "1", "-2"],
-        ["--target", "1", "2", "--out", "point-gather", "point-maze"],
-        ["--out", "point-gather", "--target", "1", "2", "point-maze"],
-        ["--no-hold-tied", "point-maze", "--target", "1", "2"],
-        ["--seed", "1", "2", "point-maze", "--target", "1", "2"],
-        ["--target", "1", "2", "point-maze", "--seed", "1", "2", "--primitive", "ant-maze"],
-    ],
-)
-def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words):
-    found = []
-
-    def train(env: str, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path()) -> int:
-        """Take."""
-        found.append((env, settings.keys() & {"target", "observe_block"}, seed))
-        return 0
-
-    assert parsing.call("train", train, words) == 0
-    seed = (1, 2) if "--seed" in words else ()
-    assert found in ([("ant-push", {"observe_block"}, seed)], [("point-maze", {"target"}, seed)])
-
-
-@pytest.mark.parametrize("preset", PRESET_NAMES)
-def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, preset):
-    config = make_config("ant-gather", preset)
-    words, expected = [], {}
-    for name in sorted(config.values.keys() - {"env"}):
-        value, flag = config.values[name], config.setting(name).flag
-        if isinstance(value, bool):
-            words.append(flag if value else flag.replace("--", "--no-"))
-        else:
-            words += [flag, *(str(item) for item in (value if isinstance(value, tuple) else (value,)))]
-        expected[name] = value
-    assert given("ant-gather", *words) == expected
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["train", "ant-gather", "--backend", "proces"], "unknown backend 'proces'. Did you mean 'processes'?"),
-        (["train", "ant-gater"], "unknown environment 'ant-gater'. Did you mean 'ant-gather'?"),
-        (["train", "ant-gather", "--preset", "lap"], "unknown preset 'lap'. Did you mean 'laptop'?"),
-        (["evaluate", "x", "--targets", "traning"], "--targets: unknown name 'traning'. Did you mean 'training'?"),
-    ],
-)
-def test_a_misspelled_choice_is_answered_with_the_nearest(capsys, monkeypatch, words, message):
-    monkeypatch.setenv("COLUMNS", "160")
-    assert main(words) == 2
-    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -318,87 +265,29 @@ def test_the_error_for_a_value_shows_the_default_of_its_flag(capsys, monkeypatch
     assert re.findall(r"\(default: (.*?)\)", capsys.readouterr().err) == [default]
 
 
-def test_resume_takes_the_settings_that_change_no_number(shes):
-    text = shes("resume", "--help")
-    for name, setting in execution_settings().items():
-        assert (setting.flag in text) is (name != "preset")
-    assert "--sigma" not in text
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "tcsh"])
-def test_every_shell_asks_for_the_words_that_may_follow(shes, shell):
-    assert "shes --complete" in shes("completion", shell)
-
-
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("tra", ["train"]),
-        ("completion z", ["zsh"]),
-        ("train ant-fl", ["ant-flagrun"]),
-        ("bench rollout point-m", ["point-maze"]),
-        ("train ant-maze --target-", ["--target-sampling"]),
-        ("train ant-gather --targ", []),
-        ("train --help-", ["--help-all"]),
-        ("evaluate x --imp", ["--import"]),
-        ("train ant-maze --preset sm", ["smoke"]),
-        ("train ant-maze --preset=sm", ["smoke"]),
-        ("train --preset smoke --primitive ant-walker-", ["ant-walker-stiff"]),
-        ("train --preset unknown --outp", []),
-        ("resume runs/fi", ["runs/first"]),
-        ("evaluate ant-g", ["ant-gather", "ant-gather-coevolved"]),
-        ("evaluate x --epis", ["--episodes"]),
-        ("evaluate x --ru", []),
-        ("bench roll", ["rollout"]),
-        ("plot ant-walker runs/fi", ["runs/first"]),
+        ("shes tra", ["train"]),
+        ("shes train --explore-", ["--explore-horizon"]),
+        ("shes train --preset smo", ["smoke"]),
+        ("shes evaluate x --epis", ["--episodes"]),
     ],
 )
-def test_what_may_stand_at_the_cursor_completes_the_line(shes, tmp_path, monkeypatch, line, expected):
-    (tmp_path / "runs" / "first").mkdir(parents=True)
-    (tmp_path / "runs" / "first" / "config.json").touch()
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COMP_LINE", f"shes {line} and more")
-    monkeypatch.setenv("COMP_POINT", str(len(f"shes {line}")))
-    assert shes("--complete", "shes", "a", "b").split() == expected
-    for name in ("COMP_LINE", "COMP_POINT"):
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("COMMAND_LINE", f"shes {line}")  # tcsh
-    assert shes("--complete").split() == expected
+def test_bash_completes_commands_flags_and_choices(shes, tmp_path, line, expected):
+    script = tmp_path / "shes.bash"
+    script.write_text(shes("completion", "bash"))
+    words = " ".join(f"'{word}'" for word in line.split())
+    code = f"""
+        source {script}
+        COMP_WORDS=({words}); COMP_CWORD={len(line.split()) - 1}; COMP_LINE='{line}'; COMP_POINT={len(line)}
+        $(complete -p shes | grep -oP '(?<=-F )\\S+')
+        printf '%s\\n' "${{COMPREPLY[@]}}"
+    """
+    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
+    assert [word.strip() for word in done.stdout.split()] == expected
 
 
-OWN_ENVIRONMENTS = """
-print("a message of the module")
-from shes import register_environment
-from shes.envs.registry import find_environment
-body, task = find_environment("point-gather")
-register_environment("dot-gather", body, task)
-"""
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("--import dots train dot-", ["dot-gather"]),
-        ("train --import=dots dot-", ["dot-gather"]),
-        ("train --import dots --import none dot-gather --sig", ["--sigma", "--sigma-schedule", "--sigma-end"]),
-        ("train --import ", []),
-        ("train --import=", []),
-        ("--import dots tra", ["train"]),
-    ],
-)
-def test_what_an_imported_module_registers_completes_the_line(shes, tmp_path, monkeypatch, line, expected):
-    (tmp_path / "dots.py").write_text(OWN_ENVIRONMENTS)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv("COMP_LINE", f"shes {line}")
-    try:
-        assert shes("--complete").split() == expected
-    finally:
-        ENVIRONMENTS.pop("dot-gather", None)
-        sys.modules.pop("dots", None)
-
-
-def test_bash_takes_the_script(shes):
-    done = subprocess.run(
-        ["bash", "-c", f"{shes('completion', 'bash')}\ncomplete -p shes"], capture_output=True, text=True, check=True
-    )
-    assert (done.stdout, done.stderr) == ("complete -o default -C 'shes --complete' shes\n", "")
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_have_a_script_too(shes, shell):
+    assert "shes" in shes("completion", shell)

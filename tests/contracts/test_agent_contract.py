@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from shes.training.build import build_algorithm, build_task
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm, build_task
+from shes.runs.make_config import make_config
 from tests.hierarchy.designs import INTERVAL, OBSERVED, every_design, levels_of, thetas_of
 from tests.hierarchy.plain_agent import PlainAgent, columns
 

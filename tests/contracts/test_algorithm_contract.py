@@ -12,12 +12,12 @@ import pytest
 import shes
 from shes.algorithms.registry import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
+from shes.runs.build import build_algorithm, build_backend
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.settings import Settings
-from shes.training.build import build_algorithm, build_backend
-from shes.training.make_config import make_config
 from tests.e2e import runs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "random_search.py"

@@ -15,14 +15,13 @@ from shes.algorithms.presets import PRESETS, Preset
 from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
-from shes.es.schedules import SCHEDULES, ScheduleKind
 from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.runs.sections import known_settings
+from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
-from shes.training.transfer import transferred_levels
 
 SRC = Path(shes.__file__).parent
 ABOVE = ("cli", "gymnasium", "runs", "training", "viewing")
@@ -198,15 +197,6 @@ class Threefold(Mirroring):
         return [(1,) * num_levels] * 3
 
 
-class Late(ScheduleKind):
-    """Stays at the start."""
-
-    can_end_at_zero = False
-
-    def between(self, start, end, progress):
-        return start
-
-
 class First(ViewChoice):
     """The first value."""
 
@@ -214,19 +204,13 @@ class First(ViewChoice):
         return ColumnsView((0,))
 
 
-def test_mirrorings_schedules_and_views_can_be_registered(monkeypatch):
+def test_mirrorings_and_views_can_be_registered(monkeypatch):
     monkeypatch.setitem(MIRRORINGS, "threefold", Threefold)
-    monkeypatch.setitem(SCHEDULES, "late", Late)
     monkeypatch.setitem(PRIMITIVE_VIEWS, "first", First)
     monkeypatch.setitem(CONTROLLER_VIEWS, "first", First)
     asked = {"mirrored": "threefold", "population_size": 6, "primitive_view": "first", "controller_view": "first"}
-    asked |= {"sigma_schedule": "late", "sigma_end": 0.01, "schedule_generations": 10, "hidden": ()}
-    built = build_algorithm(make_config("point-gather", "smoke", asked))
+    built = build_algorithm(make_config("point-gather", "smoke", {**asked, "hidden": ()}))
     assert built.hyperparameters.signs(0).tolist() == [[[1, 1]] * 3] * 2
-    sigma = built.hyperparameters.sigma
-    assert [sigma.value(generation) for generation in (0, 9, 10)] == [sigma.start, sigma.start, 0.01]
     assert [policy.sizes[0] for policy in built.design.policies] == [1, 3 + 1]
-    with pytest.raises(ConfigError, match="the end of the late schedule of learning_rate must be positive"):
-        make_config("point-gather", "smoke", {"learning_rate_schedule": "late", "learning_rate_end": 0})
     assert "threefold: Three members" in known_settings()["mirrored"].text
     assert np.array_equal(MIRRORINGS["none"]().rows(2), [[1, 1]])

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 from shes.backends.named_backends import BACKENDS
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, WorkerError
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.make_config import make_config
 from shes.settings import Execution, Settings, setting_fields
-from shes.training.build import build_algorithm, build_backend
-from shes.training.make_config import make_config
 from tests.backends.clusters import ray_cluster
 from tests.backends.workers import ERRORS, Worker
 from tests.e2e import runs

@@ -13,8 +13,8 @@ import numpy as np
 import psutil
 
 from shes.cores import num_cores
-from shes.training.build import open_run
-from shes.training.train import train
+from shes.runs.build import open_run
+from shes.runs.train import train
 
 TINY = {
     "preset": "smoke",

@@ -10,9 +10,9 @@ import pytest
 import shes
 from shes.cli.bench import bench_rollout
 from shes.runs.folder import RunFolder
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.sim.warp_device import load_warp
-from shes.training.make_config import make_config
 from tests.e2e import runs
 
 pytestmark = [

@@ -10,12 +10,10 @@ from gymnasium.spaces import Box
 import shes
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.errors import DivergenceError
-from shes.hierarchy.results import lower_diverged
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
+from shes.runs.recorder import Divergence
 from shes.runs.tables import read_csv
-from shes.training.divergence import Divergence
-from shes.training.evaluate import evaluate
-from shes.training.make_config import make_config
 from tests.e2e import runs
 
 STEPS = 20
@@ -92,40 +90,26 @@ def test_the_ties_of_those_that_broke_are_in_the_table(glass):
     np.testing.assert_allclose(table[f"{level}_rank_ties"], broken + worst)
 
 
-class Events:
-    """A listener that keeps the warnings and counts the generations before each."""
-
-    def __init__(self):
-        self.generation, self.seen = 0, []
-
-    def on_start(self, *arguments):
-        pass
-
-    def on_generation(self, row):
-        self.generation = row["generation"]
-
-    def on_evaluation(self, row):
-        pass
-
-    def on_event(self, event):
-        self.seen.append((self.generation + 1, event))
-
-
 @pytest.mark.parametrize("algorithm", ["shes", "es"])
 def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_cause(tmp_path, algorithm):
-    events = Events()
+    told = []
+    listener = type("Ear", (), {"on_event": lambda _, event: told.append(event)})()
     message = (
-        r"every episode of the last 3 generations diverged\. Likely cause: a reward or an observation of fog is NaN .*"
-        r"Everything up to the last checkpoint is kept; --max-diverged-generations sets"
+        r"every episode of the last 10 generations diverged\. Likely cause: a reward or an observation of fog is NaN .*"
+        r"Everything up to the last checkpoint is kept\."
     )
-    settings = {**TINY, "generations": 9, "evaluation_interval": 9, "algorithm": algorithm}
+    settings = {**TINY, "generations": 12, "evaluation_interval": 12, "algorithm": algorithm}
     with pytest.raises(DivergenceError, match=message) as caught:
-        runs.train_tiny(tmp_path / "run", "fog", **settings, max_diverged_generations=3, listener=events)
+        runs.train_tiny(tmp_path / "run", "fog", **settings, listener=listener)
     assert caught.value.exit_code == 1
-    assert [generation for generation, event in events.seen if event.startswith("all 8 episodes of gen")] == [1, 2, 3]
-    assert (2, "all 3 episodes of the evaluation diverged: its score does not count") in events.seen
-    assert RunFolder.open(tmp_path / "run").load("last").generation == 3
-    assert any("all 8 episodes of generation 2 diverged" in line for line in runs.log_lines(tmp_path / "run"))
+    text = (
+        "all 8 episodes of generation {} diverged (physics, observation or reward not finite): nothing can be learned"
+    )
+    warnings = [text.format(generation) + " from it" for generation in range(1, 11)]
+    of_evaluation = "all 3 episodes of the evaluation diverged: its score does not count"
+    assert told == [warnings[0], of_evaluation, *warnings[1:]]
+    assert RunFolder.open(tmp_path / "run").load("last").generation == 10
+    assert set(told) <= set(runs.log_lines(tmp_path / "run"))
 
 
 def test_a_short_run_in_which_everything_diverged_is_never_done_calmly(tmp_path):
@@ -133,25 +117,25 @@ def test_a_short_run_in_which_everything_diverged_is_never_done_calmly(tmp_path)
         runs.train_tiny(tmp_path / "run", "fog", **{**TINY, "generations": 1})
 
 
-def row(generation, rate, **columns):
-    return {"generation": generation, "diverged_rate": rate, "diverged_episodes": round(8 * rate), **columns}
-
-
 def test_one_sound_generation_begins_the_count_anew():
-    count = Divergence(make_config("point-gather", "smoke", {"max_diverged_generations": 2}))
-    for generation, rate in enumerate([1, 0.9, 1, 0, 1], 1):
-        assert (count.add(row(generation, rate)) is not None) == (rate == 1)
+    count = Divergence("fog")
+    for generation, rate in enumerate([1] * 9 + [0.9] + [1] * 9 + [0] + [1] * 9, 1):
+        row = {"generation": generation, "diverged_rate": rate, "diverged_episodes": round(8 * rate)}
+        assert (count.add(row) is not None) == (rate == 1)
         count.check(is_over=False)
     count.check(is_over=True)  # not all was in vain
-    count.add(row(6, 1))
-    with pytest.raises(DivergenceError, match="last 2 generations"):
+    count.add(row)
+    with pytest.raises(DivergenceError, match="last 10 generations"):
         count.check(is_over=False)
 
 
 def test_returns_of_another_algorithm_that_are_nan_count_too():
-    count = Divergence(make_config("point-gather", "smoke", {"max_diverged_generations": 1}))
+    count = Divergence("fog")
     assert count.add({"generation": 7, "policy_return_mean": 0.0}) is None
-    assert "no return of generation 8 is finite" in count.add({"generation": 8, "policy_return_mean": float("nan")})
+    for generation in range(8, 18):
+        count.check(is_over=False)
+        told = count.add({"generation": generation, "policy_return_mean": float("nan")})
+        assert told == f"no return of generation {generation} is finite: nothing can be learned from it"
     with pytest.raises(DivergenceError):
         count.check(is_over=False)
 
@@ -197,12 +181,3 @@ def test_an_evaluation_in_which_everything_broke_is_never_the_best(tmp_path, alg
     assert RunFolder.open(run).load("best").generation == 0
     whole = runs.train_tiny(tmp_path / "steel", "steel", **TINY, algorithm=algorithm)
     assert RunFolder.open(whole).load("last").best.generation >= 1
-
-
-def test_lowering_takes_the_least_of_those_that_did_not_diverge():
-    values, has_diverged = np.array([[3.0, -1.0], [5.0, -7.0]]), np.array([[False, False], [True, True]])
-    kept = values.copy()
-    assert lower_diverged(values, has_diverged).tolist() == [[3, -1], [-1, -7]]
-    assert values.tolist() == kept.tolist()
-    for same in (np.zeros((2, 2), bool), np.ones((2, 2), bool)):
-        assert lower_diverged(values, same).tolist() == kept.tolist()

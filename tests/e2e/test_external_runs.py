@@ -17,8 +17,8 @@ from shes.cli import main
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.errors import ConfigError, ShesError
 from shes.es.streams import Purpose
-from shes.training.evaluate import evaluation_seeds
-from shes.training.make_config import make_config
+from shes.runs.evaluate import evaluation_seeds
+from shes.runs.make_config import make_config
 from shes.viewing.render import render
 from shes.viewing.watch import watch
 from tests.e2e import runs
@@ -192,7 +192,6 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
             {},
             r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es",
         ),
-        ("car", {"hide_position": True}, r"observes no absolute position.*Omit --hide-position"),
     ],
 )
 def test_what_does_not_go_is_one_line_and_leaves_no_folder(tmp_path, env, settings, message):
@@ -298,7 +297,7 @@ def test_the_mazes_of_gymnasium_robotics_train_on_the_command_line(robotics, tmp
 @pytest.mark.parametrize("name", ["robotics-ant-maze", "robotics-point-maze"])
 def test_an_episode_of_the_mazes_depends_on_its_seed_alone(robotics, name):
     def make(num_episodes):
-        return shes.training.build.build_task(make_config(name, "smoke"), num_episodes, is_evaluation=False)
+        return shes.runs.build.build_task(make_config(name, "smoke"), num_episodes, is_evaluation=False)
 
     alone, crowd = make(1), make(3)
     rng = np.random.default_rng(0)
@@ -318,7 +317,7 @@ def test_an_episode_of_the_mazes_depends_on_its_seed_alone(robotics, name):
 @pytest.mark.extras
 def test_a_maze_whose_physics_blows_up_diverges(robotics, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    task = shes.training.build.build_task(make_config("robotics-ant-maze", "smoke"), 2, is_evaluation=False)
+    task = shes.runs.build.build_task(make_config("robotics-ant-maze", "smoke"), 2, is_evaluation=False)
     task.reset(np.arange(2), [1, 2])
     task._envs[1].unwrapped.ant_env.data.qvel[0] = 1e12
     for _ in range(2):

@@ -8,10 +8,10 @@ import pytest
 
 from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
+from shes.runs import recorder
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.tables import read_csv
-from shes.training import train as training
-from shes.training.train import resume
+from shes.runs.train import resume
 from tests.e2e import runs
 
 INTERRUPTED = 130
@@ -143,12 +143,11 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
     def save(path, checkpoint):
         if checkpoint.generation == 1 and not sent:
             sent.append(path)
-            os.kill(os.getpid(), signal.SIGINT)  # this is another thread: the main one gets the signal
-            time.sleep(0.3)
+            signal.raise_signal(signal.SIGINT)
         return original(path, checkpoint)
 
-    sent, original = [], training.save_checkpoint
-    monkeypatch.setattr("shes.runs.writer.save_checkpoint", save)
+    sent, original = [], recorder.save_checkpoint
+    monkeypatch.setattr(recorder, "save_checkpoint", save)
     interrupted(tmp_path / "run", generations=1000)
     done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
     assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])

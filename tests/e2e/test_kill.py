@@ -79,9 +79,7 @@ def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed
     inside = kill_main_inside(process, path, 3)
     assert runs.differences(undisturbed, path)  # something is left to do
     resume(path)
-    # The checkpoint of a generation is written beside the next one: on a busy machine that of the one before is last.
-    begins = {f"begins after generation {inside - late} with 2 workers" for late in (1, 2)}
-    assert begins & set(runs.log_lines(path)[1:])
+    assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)[1:]
     assert runs.differences(undisturbed, path) == []
 
 

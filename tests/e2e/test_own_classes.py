@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from shes.errors import ConfigError
-from shes.training.loaded_agent import load
+from shes.runs.loaded_agent import load
 from tests.e2e import own_classes, runs
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes

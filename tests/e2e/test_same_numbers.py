@@ -87,22 +87,15 @@ METHOD = {
     "keep_checkpoints": 1,
     "population_size": 12,
 }
-SCHEDULES = {
-    "learning_rate_schedule": {"learning_rate_end": 0.001},
-    "sigma_schedule": {"sigma_end": 0.3},
-    "episodes_schedule": {"episodes_end": 3},
-}
-"""Where a schedule leads: with these, 1, 2 and 3 episodes of a policy in the three generations."""
-SCHEDULES_OF_ALL = dict.fromkeys(SCHEDULES, "linear") | {k: v for ends in SCHEDULES.values() for k, v in ends.items()}
+SCHEDULES = {"learning_rate_end": 0.001, "sigma_end": 0.3, "schedule_generations": 2}
 
 
 def method(settings):
-    """Return `settings` beside those of every method, with schedules of two generations."""
-    scheduled = any(settings.get(name, "constant") != "constant" for name in SCHEDULES)
-    return {**METHOD, **({"schedule_generations": 2} if scheduled else {}), **settings}
+    """Return `settings` with those of every method."""
+    return {**METHOD, **settings}
 
 
-NO_CHOICES = {"backend", "controller_checkpoint", "device", "preset", "primitive_checkpoint"}
+NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
 """Names that say how, where and from what, not what is done: backends are what is compared here, devices elsewhere."""
 SOURCE = "the run of the fixture `source`"
 EGOCENTRIC = {"primitive_view": "egocentric"}
@@ -111,7 +104,6 @@ BRANCHES = {**EGOCENTRIC, "primitive_estimate": "interval", "controller_interval
 WITH = {
     "fitness_shaping=pair_rank": {"mirrored": "pair"},
     "primitive_estimate": BRANCHES,
-    "primitive_fitness_shaping": BRANCHES,
     "explore": {**EGOCENTRIC, "target": (0.0, 16.0)},
 }
 """What a setting, or one of its choices, asks of others."""
@@ -123,8 +115,7 @@ OF_GATHER = {"sectors", "equivariant"}
 
 def companions(name, choice):
     """Return the settings that a choice goes with."""
-    scheduled = SCHEDULES.get(name, {}) if choice != "constant" else {}
-    return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
+    return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {})}
 
 
 OF_HIRO = {"algorithm": {"hiro", "td3"}, "noise_unit": {"range", "raw"}}
@@ -143,27 +134,21 @@ BY_CHOICE = {
 }
 BY_HAND = {
     "clock": {"clock_frequency": 1.5},
-    "hidden position": {"hide_position": True},
-    "hidden position, clock, robot alone": {
-        "hide_position": True, "clock_frequency": 0.7, "primitive_view": "proprioception",
-    },
+    "clock, robot alone": {"clock_frequency": 0.7, "primitive_view": "proprioception"},
     "goals anywhere": {"minimum_goal_distance": False},
     "layers of its own": {"primitive_hidden": (3, 5)},
     "linear": {"hidden": ()},
-    "decay of its own": {"controller_weight_decay": 0.3},
     "some statistics": {"statistics_fraction": 0.4},
-    "momentum": {"optimizer": "sgd", "momentum": 0.5},
-    "most of them": {"fitness_shaping": "top_fraction", "top_fraction": 0.7},
-    "fewer episodes": {"episodes_per_policy": 3, "episodes_schedule": "cosine", "episodes_end": 1},
+    "three episodes": {"episodes_per_policy": 3},
     "flat with clock": {"algorithm": "es", "clock_frequency": 1.5},
-    "flat, all schedules": {"algorithm": "es", **SCHEDULES_OF_ALL},
+    "flat, schedules": {"algorithm": "es", **SCHEDULES},
     "frozen": {"primitive": SOURCE},
     "frozen, not mirrored": {"primitive": SOURCE, "mirrored": "none"},
     "unfrozen": {"primitive": SOURCE, "freeze_primitive": False},
     "unfrozen by halves": {
-        "primitive": SOURCE, "freeze_primitive": False, "perturbation": "one_to_many_halves", "optimizer": "clipup",
+        "primitive": SOURCE, "freeze_primitive": False, "perturbation": "one_to_many_halves", "optimizer": "sgd",
     },
-    "branches": {**BRANCHES, "fall_price": 1.5, "hold_tied": False},
+    "branches": {**BRANCHES, "fall_price": 1.5},
     "branches, own rates": {
         **BRANCHES, "primitive_population_size": 6, "primitive_sigma": 0.2, "primitive_learning_rate": 0.05,
         "intervals": 3, "episodes_per_policy": 3,
@@ -173,11 +158,11 @@ BY_HAND = {
         "primitive": SOURCE, "primitive_estimate": "interval", "freeze_primitive": False, "controller_interval": 4,
     },
     "everything": {
-        "perturbation": "one_to_many", "mirrored": "pair", "fitness_shaping": "top_fraction", "optimizer": "clipup",
+        "perturbation": "one_to_many", "mirrored": "pair", "fitness_shaping": "pair_rank", "optimizer": "sgd",
         "common_random_numbers": "population", "controller_output": "one_hot",
         "goal_encoding": "unit_vector", "primitive_reward": "cosine", "primitive_view": "proprioception",
-        "clock_frequency": 1.5, "hide_position": True, "primitive_hidden": (3,), "controller_weight_decay": 0.1,
-        **SCHEDULES_OF_ALL,
+        "clock_frequency": 1.5, "primitive_hidden": (3,), "episodes_per_policy": 3,
+        **SCHEDULES,
     },
 }  # fmt: skip
 EQUIVARIANT = {
@@ -192,14 +177,13 @@ WALKER = {
     "fall_price": 3.0,
     "horizon": 40,
     "output_weights": "zero",
-    "weight_decay_form": "decoupled",
 }
 """A primitive of the ant on branches, with all that helps it learn."""
 BY_ENVIRONMENT = {
     "point-flagrun": {
         "alone": {},
-        "alone with clock": {"clock_frequency": 1.5, "hide_position": True, "goal_encoding": "vector"},
-        "alone, all schedules": {**SCHEDULES_OF_ALL, "optimizer": "sgd", "fitness_shaping": "z_score"},
+        "alone with clock": {"clock_frequency": 1.5, "goal_encoding": "vector"},
+        "alone, schedules": {**SCHEDULES, "optimizer": "sgd"},
         "flat": {"algorithm": "es"},
     },
     "ant-flagrun": {
@@ -287,7 +271,7 @@ def usual(tmp_path_factory):
 def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     path = runs.train_tiny(tmp_path / "run", "point-maze", **method(BY_CHOICE[name]))
     field, _, choice = name.partition("=")
-    others = {} if field in SCHEDULES else companions(field, choice)
+    others = companions(field, choice)
     same = usual({name: value for name, value in others.items() if name != field})
     is_usual = RunFolder.open(same).read_config().values[field] == choice or name in SAME_AS_USUAL
     found = {each for each in runs.differences(same, path) if not each.endswith("/settings")}

@@ -18,7 +18,7 @@ What these leave open about tasks, and how it is decided here (worlds: see refer
     than 1 to the goal that it was for; False after a reset. Its `hiro` is the same with RK4 and unclipped qvel.
  8. Flagrun for the point: sin, cos, distance / 1000, qpos 2, qvel 2 (clipped in shes); yaw 0.
  9. hiro Gather: sensors span 2 pi around the yaw (as JR and SNN4HRL; rllab's own default is pi). The fall is looked at
-    before pickups. With `fall_penalty=False` the step of a fall pays its pickups. Success is a score above 0.
+    before pickups. Success is a score above 0.
 10. Divergence: the step ends the episode with reward 0; score is 0 and success False from then on.
 11. The robot's noise is drawn for all of its qpos and qvel: for the point 2 and 2 numbers, in Fall 3 and 3. With
     noise 0 nothing is drawn.
@@ -286,7 +286,7 @@ class ReferenceGather(ReferenceEpisode):
 
     shes: robot's qpos, clipped qvel, 10 food readings, 10 poison readings, t; 50 or 25 numbers. The step of a fall pays
     its pickups. hiro: t stands before the readings, qvel is unclipped; the step of an ant's fall pays -10 in place of
-    its pickups (`fall_penalty`), and the episode ends when nothing is left, too.
+    its pickups, and the episode ends when nothing is left, too.
 
     Draws of a reset. shes: `uniform(-10, 10, (32, 2))`, of which those at least 2 from the origin count, again until
     there are 16. hiro: `permutation(99)`, as places in this list: x = -10, -8, ..., 8, for each x y = -10, -8, ..., 8,
@@ -297,9 +297,8 @@ class ReferenceGather(ReferenceEpisode):
     catch_distance = 1.0
     penalty = -10.0
 
-    def __init__(self, *arguments, fall_penalty=True, **options):
+    def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self.fall_penalty = fall_penalty and self.spec == "hiro"
         self.sensor_range = {"shes": 8.0, "hiro": 6.0}[self.spec]
 
     def xml(self, **options):
@@ -320,7 +319,7 @@ class ReferenceGather(ReferenceEpisode):
         self.best_return = 0.0
 
     def play_task(self):
-        if self.has_fallen and self.fall_penalty:
+        if self.has_fallen and self.spec == "hiro":
             reward = self.penalty
         else:
             food, self.food = self.pick_up(self.food)

@@ -15,7 +15,7 @@ from shes.envs.bodies.point import Point
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.registry import find_environment, make_task, register_environment, register_external
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 from tests.e2e.own_classes import Corner
 from tests.envs.external_envs import (
     MAX_STEPS,
@@ -372,7 +372,7 @@ def test_what_does_not_fit_is_refused(make, settings, message):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("integrator", "rk4"), ("spec", "shes"), ("reset_noise", 0.1), ("evaluation_reset_noise", 0.3)],
+    [("integrator", "rk4"), ("spec", "shes"), ("reset_noise", 0.1)],
 )
 def test_settings_of_our_own_physics_are_refused(name, value):
     flag = f"--{name.replace('_', '-')}"

@@ -6,14 +6,14 @@ from numpy.testing import assert_array_equal
 
 from shes.envs.markers import POISON as POISON_COLOR
 from shes.envs.registry import make_task
-from shes.envs.tasks.gather import GatherOptions
+from shes.envs.tasks.task_options import FallOptions
 
 FAR_AWAY = 1000.0
 
 
 def start(name="point-gather", food=(), poison=(), spec="shes", turn_deg=0.0):
     """Return one episode, at rest at the origin, with the given objects; the others are far away."""
-    task = make_task(name, 1, GatherOptions(reset_noise=0, spec=spec))
+    task = make_task(name, 1, FallOptions(reset_noise=0, spec=spec))
     task.reset(np.arange(1), [0])
     put(task, food, poison)
     if turn_deg:

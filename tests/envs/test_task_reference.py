@@ -233,11 +233,6 @@ def test_the_block_can_be_observed_or_not(name, spec):
     play(name, 3, 10, spec=spec, observe_block=spec == "shes")  # as specified
 
 
-def test_hiro_gather_without_a_penalty_equals_its_reference():
-    options = {"spec": "hiro", "fall_penalty": False}
-    assert play("ant-gather", 8, 40, **options, arrange=launch, reference={"fall_penalty": False}) > 0
-
-
 @over("-flagrun")
 @pytest.mark.parametrize("interval", [1, 3, 10])
 def test_flagrun_equals_its_reference_with_any_interval(name, spec, interval):

@@ -16,9 +16,9 @@ from experiments.running import check_experiment, finish, run_experiment, runs_l
 from experiments.summary import provenance_columns
 from shes.cores import core_numbers
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError, WorkerError
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.evaluate import evaluate
 from tests.e2e import runs
 from tests.experiments.tiny import FAILING, experiment, run, without_times
 

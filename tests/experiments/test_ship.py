@@ -10,10 +10,10 @@ from experiments.ship import ship
 from shes.errors import ConfigError, RunFolderError
 from shes.runs import shipped
 from shes.runs.checkpoint import load_checkpoint, save_checkpoint
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
 from shes.runs.tables import read_csv
-from shes.training.evaluate import evaluate
 from tests.e2e import runs
 
 TOLD = {"description": "A point that walks.", "commands": ["shes train point-flagrun"]}

@@ -18,8 +18,8 @@ from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.noise import NoiseTable
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 
 EVERY = {
     "hidden": (8,),
@@ -28,7 +28,7 @@ EVERY = {
     "sigma": 0.07,
     "learning_rate": 0.02,
     "weight_decay": 0.005,
-    "hold_tied": False,
+    "rank_ties": "index",
     "controller_interval": 10,
     "noise_table_size": 20_000,
 }

@@ -8,7 +8,7 @@ from tests.golden.regenerate import GENERATIONS, RUNS, golden_file, golden_run
 
 WHAT_TO_DO = (
     "{place} is {value}, the golden file says {golden}. If nothing was meant to change, the last change has a fault. "
-    "If numbers were meant to, run `python -m tests.golden.regenerate {name}`, and say 'changes numbers' in CHANGELOG.md."
+    "If numbers were meant to, run `python -m tests.golden.regenerate {name}`; CHANGELOG.md says 'changes numbers'."
 )
 
 

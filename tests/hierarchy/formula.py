@@ -24,13 +24,13 @@ def constant(value):
     return Schedule(start=value)
 
 
-def changing(start, end, generations, kind="linear"):
-    return Schedule(kind=kind, start=start, end=end, generations=generations)
+def changing(start, end, generations):
+    return Schedule(start=start, end=end, generations=generations)
 
 
 SETTINGS = Hyperparameters(
     population_size=8,
-    episodes_per_policy=constant(EPISODES),
+    episodes_per_policy=EPISODES,
     sigma=constant(0.1),
     learning_rate=constant(0.02),
     updates=(UpdateRule(weight_decay=0.005),) * 2,

@@ -8,8 +8,8 @@ import pytest
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.moments import Moments
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.hierarchy import designs
 
 

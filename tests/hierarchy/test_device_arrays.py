@@ -15,9 +15,9 @@ from shes.backends.serial import SerialBackend
 from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.hierarchy.rollout import Rollout
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator
 
@@ -33,7 +33,6 @@ CHOICES = {
     "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
     "vector": ("point-maze", {"goal_encoding": "vector", "primitive_reward": "negative_distance"}),
     "metres": ("point-fall", {"goal_encoding": "angle_metres", "minimum_goal_distance": True}),
-    "hidden position": ("point-gather", {"hide_position": True}),
     "primitive alone": ("point-flagrun", {}),
     "flat": ("point-gather", {"algorithm": "es"}),
     "flat with a clock": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),

@@ -14,8 +14,8 @@ from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, draw_noise_index, update_level
 from shes.hierarchy.episodes import Snapshot
 from shes.hierarchy.results import PopulationResults
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.hierarchy.formula import SETTINGS, bits, changing, constant, formula_state, start_state
 from tests.hierarchy.plain_loop import play
 
@@ -103,7 +103,7 @@ def test_pairs_begin_where_the_running_episodes_are():
 
 @pytest.mark.parametrize(("horizon", "decisions"), [(23, 5), (25, 5), (26, 6), (3, 1)])
 def test_whole_episodes_leave_snapshots_at_any_of_their_decisions(horizon, decisions):
-    settings = replace(BESIDE, population_size=400, horizon=horizon, episodes_per_policy=constant(1))
+    settings = replace(BESIDE, population_size=400, horizon=horizon, episodes_per_policy=1)
     draws = draw_episodes(replace(formula_state(), generation=2), settings, 1000)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(7, 2))))
     steps = [steps for task in draws.tasks for steps in task.snapshot_steps]
@@ -122,7 +122,7 @@ def test_whole_episodes_leave_snapshots_at_any_of_their_decisions(horizon, decis
 )
 def test_only_a_primitive_that_whole_episodes_evaluate_has_noise(learns, intervals, is_frozen, signs):
     """Neither a perturbation nor noise on its controls: it would be noise in the controller's fitness."""
-    settings = replace(SETTINGS, learns=learns, intervals=intervals, episodes_per_policy=constant(1))
+    settings = replace(SETTINGS, learns=learns, intervals=intervals, episodes_per_policy=1)
     draws = draw_episodes(formula_state(), settings, 1000)
     assert draws.generation.has_frozen_control is is_frozen
     assert {task.signs for task in draws.tasks} == signs
@@ -166,7 +166,7 @@ ANT = {
     "reset_noise": 0.6,  # some are in the air, or on their backs: they fall sooner or later
     "sigma": 0.3,
     "clock_frequency": 1.3,  # goes on in a branch from where its episode was
-    "hold_tied": False,
+    "rank_ties": "index",
     "chunk_size": 4,  # lanes are used again, out of step with each other
 }
 UNDER_CONTROLLER = {"intervals": 3, "primitive_population_size": 12, "primitive_sigma": 0.2,

@@ -12,12 +12,12 @@ from shes.algorithms.evolution.estimates import COMMON_RANDOM_NUMBERS, Populatio
 from shes.errors import PolicyError
 from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.shaping import PairRanks, TopFraction, ZScore
+from shes.es.shaping import CentredRanks, PairRanks
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from tests.es.textbook import centred_ranks, group_signs
-from tests.hierarchy.formula import SETTINGS, constant, formula_state
+from tests.hierarchy.formula import SETTINGS, formula_state
 from tests.hierarchy.made_up import SIZES, make_result, make_task
 
 # What is drawn --------------------------------------------------------------------------------------------------------
@@ -25,7 +25,7 @@ from tests.hierarchy.made_up import SIZES, make_result, make_task
 
 def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
     """Return the members of a generation and, per member, its task's quantities."""
-    settings = replace(SETTINGS, population_size=population, episodes_per_policy=constant(episodes), **options)
+    settings = replace(SETTINGS, population_size=population, episodes_per_policy=episodes, **options)
     settings = replace(settings, perturbation=PERTURBATIONS.find(perturbation)())
     draws, members = draw_episodes(replace(formula_state(), generation=generation, seed=seed), settings, 50_000), []
     for task in draws.tasks:
@@ -219,10 +219,11 @@ def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(perturbation, genera
 def test_every_level_has_its_own_shaping_and_refuses_what_is_not_finite():
     population = rolled_out()
     fitness = population.results.returns.mean(axis=2)
-    first = population.shaped_fitness(0, UpdateRule(shaping=ZScore()))
-    assert first == pytest.approx((fitness[0] - fitness[0].mean()) / fitness[0].std())
-    second = population.shaped_fitness(1, UpdateRule(shaping=TopFraction(top_fraction=0.25)))
-    assert (second > 0).tolist() == [f in sorted(fitness[1])[-2:] for f in fitness[1]]
+    fitness[0] = population.results.returns[0] = 1.0  # all tie: by index the later is better
+    first = population.shaped_fitness(0, UpdateRule(shaping=CentredRanks(rank_ties="index")))
+    assert first == pytest.approx(np.linspace(-0.5, 0.5, len(first)))
+    second = population.shaped_fitness(1, UpdateRule())
+    assert second == pytest.approx(centred_ranks(fitness[1].tolist(), "average"))
     population.results.returns[1, 5, 0] = np.inf
     with pytest.raises(PolicyError, match="member 5 is inf"):
         population.shaped_fitness(1, UpdateRule())

@@ -16,12 +16,12 @@ from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, OneToMany
-from shes.es.shaping import FITNESS_SHAPINGS, TopFraction
+from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.hierarchy import designs
-from tests.hierarchy.formula import SETTINGS, bits, changing, constant, start_state
+from tests.hierarchy.formula import SETTINGS, bits, changing, start_state
 from tests.hierarchy.workers import AnyWorker, fake_plan
 
 GENERATIONS = 3
@@ -36,12 +36,10 @@ FAKES = {
     "flat": (designs.flat(designs.CLOCK), 0),
 }
 """Agents, and after how many steps their environment moves the goals that it sets."""
-FAKE = replace(SETTINGS, episodes_per_policy=constant(2))
+FAKE = replace(SETTINGS, episodes_per_policy=2)
 RULES = {
-    **{name: UpdateRule(shaping=make(FITNESS_SHAPINGS, name, {"top_fraction": 0.3})) for name in FITNESS_SHAPINGS},
-    "best five by index": UpdateRule(shaping=TopFraction(top_fraction=0.6, rank_ties="index")),
+    **{name: UpdateRule(shaping=make(FITNESS_SHAPINGS, name, {})) for name in FITNESS_SHAPINGS},
     **{name: UpdateRule(optimizer=OPTIMIZERS.find(name)(), weight_decay=0.01) for name in OPTIMIZERS},
-    "decoupled decay": UpdateRule(weight_decay=0.01, decouples_decay=True),
 }
 OPTIONS = {
     **{name: {"updates": (rule, rule)} for name, rule in RULES.items()},
@@ -49,16 +47,19 @@ OPTIONS = {
     **{name: {"perturbation": PERTURBATIONS.find(name)()} for name in PERTURBATIONS if name != "many_to_many"},
     **{f"{name} mirroring": {"mirrored": name} for name in ("pair", "none")},
     **{f"{name} common numbers": {"common_random_numbers": name} for name in COMMON_RANDOM_NUMBERS if name != "group"},
-    "fewer and fewer episodes": {"episodes_per_policy": changing(3, 1, 3)},
+    "schedules": {
+        "sigma": changing(0.1, 0.02, 3),
+        "learning_rate": changing(0.05, 0.01, 2),
+    },
+    "three episodes": {"episodes_per_policy": 3},
     "some statistics": {"statistics_fraction": 0.5},
     "no statistics": {"statistics_fraction": 0.0},
     "frozen primitive": {"learns": (True, False)},
     "frozen controller": {"learns": (False, True)},
     "everything": {
-        "sigma": changing(0.1, 0.05, 3, "exponential"),
-        "learning_rate": changing(0.05, 0.01, 2, "cosine"),
-        "episodes_per_policy": changing(1, 3, 2),
-        "updates": (RULES["z_score"], RULES["clipup"]),
+        "sigma": changing(0.1, 0.05, 3),
+        "episodes_per_policy": 3,
+        "updates": (RULES["centred_rank"], RULES["sgd"]),
         "perturbation": OneToMany(),
         "common_random_numbers": "population",
         "statistics_fraction": 0.5,
@@ -67,7 +68,7 @@ OPTIONS = {
 ONE_LEVEL = {
     "plain": {},
     "no mirroring, own episodes": {"mirrored": "none", "common_random_numbers": "off"},
-    "schedule": {"episodes_per_policy": changing(1, 3, 2)},
+    "schedule": {"sigma": changing(0.2, 0.05, 2)},
 }
 CASES = {
     **{name: ("both", replace(FAKE, **options)) for name, options in OPTIONS.items()},

@@ -12,8 +12,8 @@ from shes.envs.registry import ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
 from shes.hierarchy.views import ColumnsView, EgocentricView
-from shes.training.build import build_algorithm, build_task
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm, build_task
+from shes.runs.make_config import make_config
 from tests.contracts.variants import VARIANTS
 
 BODIES = {environment.body.name: environment.body() for environment in ENVIRONMENTS.values()}

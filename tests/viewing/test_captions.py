@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from shes.hierarchy.views import CONTROLLER_VIEWS
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback, input_words
 from shes.viewing.video import captioned
 

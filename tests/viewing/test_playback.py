@@ -3,7 +3,7 @@
 import pytest
 
 from shes.errors import ConfigError
-from shes.training.evaluate import evaluate
+from shes.runs.evaluate import evaluate
 from shes.viewing.playback import Playback
 from shes.viewing.watch import watch
 

@@ -12,8 +12,8 @@ from scipy import stats
 
 import shes
 from shes.errors import ConfigError, MissingExtraError, RunFolderError
+from shes.runs.evaluate import evaluate
 from shes.runs.tables import read_csv
-from shes.training.evaluate import evaluate
 from shes.viewing.report import estimate, report
 from tests.e2e import runs
 from tests.viewing.report_elements import Elements
@@ -144,7 +144,7 @@ def test_a_run_that_can_do_nothing_leaves_the_others_alone(kinds, run_copy, tmp_
     (broken / "config.json").write_text("{")
     read = written([run_copy, broken, kinds["flat"]], tmp_path, video=True)
     notes = [text for text in read.texts if text.startswith(f"{run_copy}: ")]
-    assert "tables only" in read.texts  # the state of a run without checkpoints
+    assert "unreadable" in read.texts  # the state of a run without checkpoints
     for what in ("evaluation.csv is missing", "no evaluation:", "no map", "no video"):
         assert sum(what in note for note in notes) == 1, (what, notes)
     assert any(text.startswith(f"{broken} is left out: ") for text in read.texts)

@@ -16,18 +16,14 @@ from shes.registry import Registry, check_class, full_name
 
 TAKEN_SECTIONS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
-    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "sections", "setting",
-    "to_dict", "values",
+    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "options", "sections",
+    "setting", "to_dict", "values",
 })  # fmt: skip
 """Names that a section of an algorithm cannot have: sections of every run, and attributes of `TrainConfig`."""
 
 
 def _check_algorithm(kind: str, cls: Any) -> None:
-    """Check an algorithm, the one that stands in for it, and their sections of settings.
-
-    Raises:
-        ConfigError: The class is incomplete, or a section or an option has a name that is taken.
-    """
+    """Raise ConfigError if an algorithm, or the one that stands in for it, is incomplete or takes a name."""
     check_class(kind, cls, Algorithm, num_arguments=1)
     for section, settings in cls.sections.items():
         if section in TAKEN_SECTIONS:

@@ -25,12 +25,12 @@ from shes.envs.registry import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
 from shes.listing import Listing, facts_listing
+from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
+from shes.runs.device import check_limits
+from shes.runs.make_config import make_config
 from shes.settings import Ge
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_algorithm, build_backend
-from shes.training.limits import Workload, check_limits
-from shes.training.make_config import make_config
 from shes.types import F64Array, IntArray
 
 _REPLAYED = 24  # number of whole episodes that the bare loop replays
@@ -126,7 +126,7 @@ def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
         raise ConfigError(
             f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm {' or '.join(known)}."
         )
-    check_limits(Workload.of(config), algorithm.design)
+    check_limits(config, algorithm.design)
     return algorithm
 
 

@@ -8,23 +8,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from shes.cli.parsing import print_completion
 from shes.errors import ConfigError
 from shes.listing import Listing
+from shes.runs import train as run_training
 from shes.runs.folder import new_folder
+from shes.runs.runs_folder import RunsFolder, read_sweep, vary
 from shes.runs.sections import RunSettings
-from shes.training import train as run_training
-from shes.training.runs_folder import RunsFolder
-from shes.training.train import Run
-from shes.training.variations import read_sweep, vary
-
-_BASH = "complete -o default -C 'shes --complete' shes"
-_SCRIPTS = {
-    "bash": _BASH,
-    "zsh": f"autoload -Uz compinit bashcompinit && compinit && bashcompinit\n{_BASH}",
-    "fish": "complete --command shes --arguments '(COMP_LINE=(commandline --cut-at-cursor) shes --complete)'",
-    "tcsh": "complete shes 'p@*@`shes --complete`@'",
-}
-"""Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
+from shes.runs.train import Run
 
 
 def train(
@@ -77,10 +68,9 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
     return folder.train_shown(list(folder.configs))
 
 
-def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
-    """Print a script by which a shell completes commands, flags, environments, runs and other names.
+def completion(shell: Literal["bash", "zsh", "fish"]) -> int:
+    """Print a script by which a shell completes commands, flags and choices.
 
-    For bash: shes completion bash >> ~/.bashrc
+    For bash: shes completion bash > ~/.local/share/bash-completion/completions/shes
     """
-    print(_SCRIPTS[shell])
-    return 0
+    return print_completion(shell)

@@ -51,7 +51,7 @@ def _demo(robot: str) -> int:
         kept = f"; the runs so far are in {folder}" if folder.exists() else " before the first run"
         console.print(f"Stopped{kept}.", highlight=False, soft_wrap=True)
         return INTERRUPTED
-    from shes.training.progress_display import format_duration
+    from shes.runs.progress_display import format_duration
 
     console.print(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
@@ -102,7 +102,7 @@ _DEMOS: dict[str, Callable[[Console, Path], Path]] = {"ant": _ant, "point": _poi
 
 def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
     """Train on `env` with live progress."""
-    from shes.training.progress_display import ProgressDisplay
+    from shes.runs.progress_display import ProgressDisplay
 
     with ProgressDisplay(console) as display:
         shes.train(env, out=path, listener=display, progress=False, **settings)
@@ -124,7 +124,7 @@ def _show(console: Console, path: Path, what: str, results: Callable[[Any], Any]
 
 def _draw(console: Console, path: Path, video: Path, **view: Any) -> None:
     """Draw curves, and a video before and after training, of the run at `path`, with live progress."""
-    from shes.training.progress_display import drawing_progress
+    from shes.runs.progress_display import drawing_progress
 
     console.print(f"Drawing the untrained and the trained agent {video.stem} ...", highlight=False)
     curves = shes.plot([path], path / "curves.png")

@@ -15,7 +15,7 @@ from rich.text import Text
 from shes.cli.exit_code import TERMINATED, TO_ASCII
 from shes.console import LineConsole
 from shes.listing import Listing
-from shes.training.progress_display import drawing_progress
+from shes.runs.progress_display import drawing_progress
 
 
 def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:

@@ -21,29 +21,65 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from shes.cli.command_table import COMMANDS, find_command
 from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
-from shes.runs.sections import RunSettings, known_settings, settings_in
+from shes.runs.make_config import make_config
+from shes.runs.sections import RunSettings, by_name, known_settings, settings_by_section
+from shes.runs.train import resumable_settings
+from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag
-from shes.training.make_config import make_config
-from shes.training.train import resumable_settings
-from shes.training.transfer import transferred_levels
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
-_BRIEF_WIDTH = 53  # characters beside the flags, in 80 columns
 _WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}  # into files
+_CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs)
+_VALUES = ConstructorRegistry()
+"""Rules for values that tyro by itself reads otherwise."""
 
 
 def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
     """Call command `name` with the values in `words`, and print what it returns; return the exit code."""
+    env = DEFAULT_ENV
+    if "env" in inspect.signature(function).parameters:
+        env, words = _environment_first(words)
+    shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
+    command = _command(name, function, env, words, shows_help=shows_help)
+    if shows_help:
+        words = ["--help"]
+    else:
+        _check_repeated(words, command)
+    return _exit_code(lambda: tyro.cli(command, prog=f"shes {name}", args=words, config=_CONFIG, registry=_VALUES))
 
-    def program(**values: Any) -> int:
+
+def print_completion(shell: str) -> int:
+    """Print tyro's script by which `shell` completes commands, flags and choices."""
+    commands = {
+        name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL], shows_help=True) for name in COMMANDS
+    }
+    given = {"prog": "shes", "args": ["--tyro-write-completion", shell, "-"], "config": _CONFIG, "registry": _VALUES}
+    return _exit_code(lambda: tyro.extras.subcommand_cli_from_dict(commands, **given))
+
+
+def _exit_code(parse: Callable[[], int]) -> int:
+    """Return the exit code of a command, or of tyro, which has printed a help or an error."""
+    try:
+        return parse()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
+
+
+def _command(
+    name: str, function: Callable[..., Any], env: str, words: Sequence[str], *, shows_help: bool
+) -> Callable[..., int]:
+    """Return `function` as tyro reads it: it prints what `function` returns, and returns the exit code."""
+
+    def command(**values: Any) -> int:
         is_json = values.pop("json", False)
         with (
             show_steps() if shows_steps else nullcontext({}) as steps,
@@ -52,31 +88,16 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
             found = function(**values, **steps)
         return show(found, _WRITES.get(name, ""), as_json=is_json)
 
-    env = DEFAULT_ENV
-    if "env" in inspect.signature(function).parameters:
-        env, words = _environment_first(words)
-    shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
     parameters = _parameters(function)
-    if not shows_help:
-        _check_repeated(words, parameters)
     shows_steps = parameters.pop("on_step", None) is not None
     if "settings" in parameters:
         kind = _settings_type(parameters, _asked_config(env, words), words if shows_help else None)
         parameters["settings"] = parameters["settings"].replace(annotation=Annotated[kind, tyro.conf.arg(name="")])
-    program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
-    program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
+    command.__annotations__ = {name: each.annotation for name, each in parameters.items()}
+    command.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
     text = inspect.getdoc(function) or ""  # each paragraph, and the text of each argument, on one line
-    program.__doc__ = re.sub(r"(?<=\S)\n( {8})?(?=\S)", " ", text).replace("`", "")
-    try:
-        return tyro.cli(
-            program,
-            prog=f"shes {name}",
-            args=["--help"] if shows_help else words,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs),
-            registry=_VALUES,
-        )
-    except SystemExit as end:  # help was shown, or an error was printed
-        return end.code if isinstance(end.code, int) else 2
+    command.__doc__ = re.sub(r"(?<=\S)\n( {8})?(?=\S)", " ", text).replace("`", "")
+    return command
 
 
 def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
@@ -92,17 +113,17 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
     return DEFAULT_ENV, list(words)
 
 
-def _check_repeated(words: Sequence[str], parameters: Mapping[str, inspect.Parameter]) -> None:
+def _check_repeated(words: Sequence[str], command: Callable[..., int]) -> None:
     """Raise ConfigError if a flag of several values is given twice; of other flags the last one counts."""
-    several = {name for name, each in known_settings().items() if each.kind is tuple}
-    for name, each in parameters.items():
-        kind, *notes = get_args(each.annotation) or (None,)
-        if get_origin(kind) is tuple and tyro.conf.UseAppendAction not in notes:
-            several.add(name)
-    given = [word.partition("=")[0] for word in words]
-    for name in several:
-        if given.count(flag(name)) > 1:
-            raise ConfigError(f"{flag(name)} is given twice. Give it once, with all its values.")
+    several = {each.flag for each in known_settings().values() if each.kind is tuple}
+    for name, kind in command.__annotations__.items():
+        first, *notes = get_args(kind) or (None,)
+        if get_origin(first) is tuple and tyro.conf.UseAppendAction not in notes:
+            several.add(flag(name))
+    given = [word.partition("=")[0].replace("_", "-") for word in words]
+    for each in several:
+        if given.count(each) > 1:
+            raise ConfigError(f"{each} is given twice. Give it once, with all its values.")
 
 
 def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
@@ -145,9 +166,8 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
     pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]
     found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}
     given = {each.name: each.checked(value) for each, value in found.items()}
-    return make_config(
-        env, given.get("preset", RunSettings.preset), {name: given[name] for name in ("algorithm",) if name in given}
-    )
+    asked = {"algorithm": given["algorithm"]} if "algorithm" in given else {}
+    return make_config(env, given.get("preset", RunSettings.preset), asked)
 
 
 def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequence[str] | None) -> Any:
@@ -156,54 +176,54 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     With the words `asking` for help, it has a group for each section, or the everyday one. Otherwise it includes every
     known setting; the configuration rejects those that do not apply.
     """
-    here = settings_in(map(type, config.sections.values())) if "env" in named else resumable_settings()
-    everywhere = known_settings() if asking is None else {}
-    offered = {name: each for name, each in {**everywhere, **here}.items() if name not in {*named, "env"}}
-    values = {name: each.default for name, each in offered.items()} | config.values
-    if "env" not in named:
-        values = dict.fromkeys(offered, "as before")
+    takes_env, sections = "env" in named, settings_by_section(config.run)
+    here = by_name(sections) if takes_env else resumable_settings()
+    offered = {**(known_settings() if asking is None else {}), **here}
+    offered = {name: each for name, each in offered.items() if name not in {*named, "env"}}
+    values = dict.fromkeys(offered, "as before")
+    if takes_env:
+        values = {name: config.values.get(name, each.default) for name, each in offered.items()}
     if asking is None:
         return _group("", offered, values)
-    groups: dict[str, Any] = {}
-    if "env" not in named:
-        groups["settings"] = _group("A setting that is not given keeps its value.", offered, values)
+    if not takes_env:
+        groups = {"settings": _group("A setting that is not given keeps its value.", offered, values)}
     elif _HELP_ALL not in asking:
-        title = f"Values of preset {config.run.preset} for {config.run.env}. All {len(offered)} settings: {_HELP_ALL}."
+        title = f"Values of preset {config.run.preset} for {config.run.env}. All {len(here)} settings: {_HELP_ALL}."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
-        groups["everyday"] = _group(title, everyday, values, is_brief=True)
+        groups = {"everyday": _group(title, everyday, values, is_brief=True)}
     else:
+        groups = {}
         for name, section in config.sections.items():
             title = (type(section).__doc__ or "").partition("\n")[0]
-            own = {each: offered.pop(each) for each in settings_in([type(section)]) if each in offered}  # may be shared
+            own = {each: offered.pop(each) for each in sections[name] if each in offered}  # may be shared
             groups[name] = _group("" if title.rstrip(".").lower() == name else title, own, values)
     return TypedDict("Settings", groups)  # type: ignore[misc] - the keys are known at run time only
 
 
 def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any], *, is_brief: bool = False) -> Any:
-    """Return a `TypedDict` whose keys tyro makes flags of. Keys not given are left out. Help shows `values`."""
+    """Return a group of flags, whose help shows `values`. A `TypedDict`, because tyro then omits keys not given."""
     keys: dict[str, Any] = {}
     for name, each in settings.items():
-        kind: Any = (
-            tuple[each.item, ...] if each.kind is tuple else Literal[each.choices] if each.choices else each.kind
-        )
-        if each.can_be_empty and not each.is_optional:
-            kind |= _Empty
+        kind: Any = Literal[each.choices] if each.choices else each.kind
+        metavar = "none|RUN" if name in transferred_levels() else None
+        if each.kind is tuple:
+            kind = tuple[each.item, ...]
+            kind = kind | _Empty if each.can_be_empty and not each.is_optional else kind
+            metavar = f"{'none|' * (each.can_be_empty or each.is_optional)}{each.item.__name__.upper()} ..."
+        text = each.text.replace("`", "")
+        if is_brief:
+            text = re.split(r"(?<=\.)\s", text, maxsplit=1)[0]
+            if each.choices:
+                metavar = "NAME"
+                text = text if each.choices[0] in text else f"{text.rstrip('.')}: {', '.join(each.choices)}."
         value = values[name]
         if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
             value = " ".join(map(str, value)) or "none (linear)"
-        default = f"(default: {'none' if value is None else value})"
-        metavar, text = "none|RUN" if name in transferred_levels() else None, each.text
-        if is_brief:
-            text = each.brief(default, _BRIEF_WIDTH)
-            if each.kind is tuple and each.length is None:
-                metavar = f"{'none|' * each.can_be_empty}{each.item.__name__.upper()} ..."
-            elif each.choices and all(choice in text for choice in each.choices):
-                metavar = "NAME"
         shown = tyro.conf.arg(
             name=each.flag[2:],
             aliases=None if is_brief or each.flag == flag(name) else (flag(name),),
             help=text,
-            help_behavior_hint=default,
+            help_behavior_hint=f"(default: {'none' if value is None else value})",
             metavar=metavar,
         )
         keys[name] = Annotated[kind | None if each.is_optional else kind, shown]
@@ -212,27 +232,8 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
     return group
 
 
-_VALUES = ConstructorRegistry()
-"""Rules for values that tyro by itself reads otherwise."""
-
-
 class _Empty:
     """Type of the empty tuple, written `none`."""
-
-
-@_VALUES.primitive_rule
-def _name_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[str] | None:
-    """Read one of several names; the error for an unknown one suggests the nearest."""
-    if get_origin(info.type) is not Literal:
-        return None
-    known: tuple[str, ...] = get_args(info.type)
-
-    def read(words: list[str]) -> str:
-        if words[0] not in known:
-            raise ValueError(str(UnknownNameError("name", words[0], known)))  # tyro adds the flag
-        return words[0]
-
-    return PrimitiveConstructorSpec(1, f"{{{','.join(known)}}}", read, known.__contains__, lambda name: [name])
 
 
 @_VALUES.primitive_rule

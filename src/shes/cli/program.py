@@ -36,8 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reader of the output has closed it, as `head` does.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["--complete"]:  # asked by a shell
-        return exit_code(lambda: shes.import_module("shes.cli.completion").print_completions())
     asked, words = split_everywhere(given)
     return exit_code(lambda: _run(asked.modules, words or ["--help"]), is_debug=asked.debug)
 

@@ -101,16 +101,10 @@ class UpdateRule:
 
     weight_decay: Annotated[float, Ge(0)] = 0.0
     """Coefficient of the weight decay (lambda), zero or positive."""
-    decouples_decay: bool = False
-    """Whether `-learning_rate * weight_decay * theta` is added to the step instead of `-weight_decay * theta` to the
-    gradient.
-
-    Source: Loshchilov and Hutter 2019 (AdamW), Algorithm 2.
-    """
     holds_when_tied: bool = False
     """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
     fall_price: Annotated[float, Ge(0)] = 0.0
-    """Subtracted from a member's shaped fitness for a fall, zero or positive. Gather's `fall_penalty` is a reward."""
+    """Subtracted from a member's shaped fitness for a fall, zero or positive. It is no part of the return."""
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
 
@@ -169,7 +163,7 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
 ) -> LevelUpdate:
     """Return `level` after one update from the shaped fitness [n'] of the members that perturbed it.
 
-    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`, unless `rule` decouples the decay.
+    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`.
 
     Deviation: the factor 1/sigma of the paper's Algorithm 1 is omitted, as in the authors' code. It would only change
     the relative strength of the weight decay, because Adam is invariant to the scale of the gradient.
@@ -197,11 +191,9 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
     ]
     gradient = halves[0] + halves[1]
     norm = _length(gradient)
-    if rule.weight_decay and not rule.decouples_decay:
+    if rule.weight_decay:
         gradient -= np.float32(rule.weight_decay) * level.theta
     step, optimizer = rule.optimizer.step(gradient, level.optimizer, learning_rate)
-    if rule.decouples_decay:
-        step -= np.float32(learning_rate * rule.weight_decay) * level.theta
     return LevelUpdate(
         level=replace(level, theta=level.theta + step, optimizer=optimizer),
         gradient_norm=norm,

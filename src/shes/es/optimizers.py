@@ -2,21 +2,20 @@
 
 Optimizers ascend: the gradient estimate [D] points uphill, and the step [D] is added to the parameters. To add one,
 write a class and a line in `OPTIMIZERS`. A class that is also a `Settings` dataclass has its fields as flags of
-`shes train`.
+`shes train`; see `shes.options`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from shes.options import subclass_of
 from shes.registry import Registry
-from shes.settings import Ge, Gt, Lt, Settings, Unasked
-from shes.types import F32Array, F64Array
+from shes.types import F32Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +71,7 @@ class Adam(Optimizer):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SGD(Optimizer, Settings):
+class SGD(Optimizer):
     """Gradient ascent with momentum.
 
     The velocity is `v = m v + (1 - m) g` and the step `rate * v`.
@@ -83,8 +82,8 @@ class SGD(Optimizer, Settings):
     slots: ClassVar[tuple[str, ...]] = ("velocity",)
     """Running mean of the gradient."""
 
-    momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
-    """Momentum (m): share of the velocity that is kept."""
+    momentum: float = 0.9
+    """Momentum (m): share of the velocity that is kept, in [0, 1)."""
 
     def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
         """Return the step [D] and the next state."""
@@ -93,42 +92,9 @@ class SGD(Optimizer, Settings):
         return step.astype(np.float32, copy=False), _state(state.steps + 1, velocity=velocity)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ClipUp(Optimizer, Settings):
-    """Normalised gradient with momentum and a maximum speed.
-
-    The velocity is `v = m v + rate g / |g|`, clipped to the maximum speed, and the step `v`. The learning rate is a
-    distance in parameter space, and the length of the gradient has no effect. A zero gradient adds nothing to the
-    velocity. Norms are computed without BLAS, bit-identical for any number of threads.
-
-    Source: Toklu, Liskowski and Srivastava 2020 (ClipUp): the algorithm, and the rule of thumb for the maximum speed.
-    """
-
-    slots: ClassVar[tuple[str, ...]] = ("velocity",)
-    """The previous step."""
-
-    momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
-    """Momentum (m): share of the velocity that is kept."""
-    max_speed_ratio: Annotated[float, Gt(0), Unasked()] = 2.0
-    """Maximum length of a step, in learning rates."""
-
-    def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
-        """Return the step [D] and the next state."""
-        velocity = self.momentum * state.slots["velocity"].astype(np.float64)
-        direction = gradient.astype(np.float64)
-        length = _norm(direction)
-        if length > 0:
-            velocity += learning_rate * (direction / length)
-        speed, max_speed = _norm(velocity), self.max_speed_ratio * learning_rate
-        if speed > max_speed:
-            velocity *= max_speed / speed
-        step = velocity.astype(np.float32)
-        return step, _state(state.steps + 1, velocity=step.copy())  # a caller may change the step in place
-
-
 OPTIMIZERS: Registry[type[Optimizer]] = Registry(
     "optimizer",
-    {"adam": Adam, "sgd": SGD, "clipup": ClipUp},
+    {"adam": Adam, "sgd": SGD},
     fix="Set --optimizer.",
     check=subclass_of(Optimizer),
 )
@@ -143,7 +109,3 @@ def _mix(old: F32Array, new: F32Array, share: float) -> F32Array:
     """Return `share * old + (1 - share) * new` [D] in float32."""
     mixed = np.float32(share) * old + np.float32(1 - share) * new
     return mixed.astype(np.float32, copy=False)
-
-
-def _norm(vector: F64Array) -> float:
-    return float(np.sqrt(np.sum(np.square(vector))))

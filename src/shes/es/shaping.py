@@ -7,7 +7,6 @@ flags of `shes train`.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,7 +17,7 @@ from shes.errors import ConfigError
 from shes.es.ranking import TIES, centred_ranks, check_finite
 from shes.options import subclass_of
 from shes.registry import Registry
-from shes.settings import Choices, Gt, Lt, Settings
+from shes.settings import Choices, Settings
 from shes.types import F64Array
 
 
@@ -39,36 +38,12 @@ class CentredRanks(FitnessShaping, Settings):
     """Ranks from -0.5 (worst) to 0.5 (best). Source: Salimans et al. 2017, section 2.1; SHES paper II-A."""
 
     rank_ties: Annotated[str, Choices(TIES)] = "average"
-    """How equal fitness values are ranked: by their average rank, or by their index in the population."""
+    """How equal fitness values are ranked: by their average rank, or by their index in the population (authors' code).
+    With average, a level whose members all have the same fitness stays unchanged."""
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
         return centred_ranks(fitness, self.rank_ties)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ZScore(FitnessShaping):
-    """Standard scores, `(f - mean) / std`. A single outlier may dominate the update.
-
-    The result is zero if the standard deviation is within the rounding error of the mean.
-
-    Source: Mania, Guy and Recht 2018 (ARS), section 3.1.
-    Deviation: ARS divides by the standard deviation, but does not subtract the mean.
-    """
-
-    def __call__(self, fitness: F64Array) -> F64Array:
-        """Return the standard scores [n]."""
-        check_finite(fitness)
-        largest = np.abs(fitness).max()
-        if largest == 0:
-            return np.zeros(len(fitness))
-        scaled = fitness / largest  # in [-1, 1]: no square overflows
-        deviation = scaled - scaled.mean()
-        deviation -= deviation.mean()  # the rounding error of the mean may be large relative to a small std
-        std = np.sqrt(np.square(deviation).mean())
-        if std <= len(fitness) * np.finfo(np.float64).eps:
-            return np.zeros(len(fitness))
-        return deviation / std
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,41 +74,9 @@ class PairRanks(FitnessShaping):
         return np.stack([half, -half], axis=1).ravel()
 
 
-@dataclass(frozen=True, kw_only=True)
-class TopFraction(FitnessShaping, Settings):
-    """Truncation selection: 1 for the best `ceil(top_fraction * n)` members, 0 for the rest, minus the mean.
-
-    Source: Beyer and Schwefel 2002, the (mu/mu, lambda)-ES with intermediate recombination.
-    Deviation: the mean weight is subtracted, so that the weights sum to zero as those of the other shapings.
-    """
-
-    rank_ties: Annotated[str, Choices(TIES)] = "average"
-    """How equal fitness values are ranked: by their average rank, or by their index in the population."""
-    top_fraction: Annotated[float, Gt(0), Lt(1)] = 0.2
-    """Fraction of the population that is selected by top_fraction."""
-
-    def __call__(self, fitness: F64Array) -> F64Array:
-        """Return the weights [n] of truncation selection, minus their mean."""
-        check_finite(fitness)
-        size = len(fitness)
-        count = self.num_selected(size)
-        if self.rank_ties == "index":
-            weights = np.zeros(size)
-            weights[np.argsort(fitness, kind="stable")[size - count :]] = 1.0
-        else:
-            threshold = np.partition(fitness, size - count)[size - count]
-            above, tied = fitness > threshold, fitness == threshold
-            weights = above + tied * ((count - above.sum()) / tied.sum())
-        return weights - count / size
-
-    def num_selected(self, size: int) -> int:
-        """Return how many of `size` members are selected, at least one."""
-        return max(1, math.ceil(round(self.top_fraction * size, 9)))  # round: 0.07 * 100 is 7.000000000000001
-
-
 FITNESS_SHAPINGS: Registry[type[FitnessShaping]] = Registry(
     "fitness shaping",
-    {"centred_rank": CentredRanks, "pair_rank": PairRanks, "z_score": ZScore, "top_fraction": TopFraction},
+    {"centred_rank": CentredRanks, "pair_rank": PairRanks},
     fix="Set --fitness-shaping.",
     check=subclass_of(FitnessShaping),
 )

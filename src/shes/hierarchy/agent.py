@@ -85,7 +85,7 @@ class AgentDesign(ABC):
         return self.level_names.index("primitive") if "primitive" in self.level_names else None
 
     def exported(self) -> dict[str, Any]:
-        """Return what an exported agent holds of its own, as JSON types. `shes.training.export` adds what is common."""
+        """Return what an exported agent holds of its own, as JSON types. `shes.runs.export` adds what is common."""
         return {}
 
     @property

@@ -1,1 +1,1 @@
-"""Run folders: configuration, checkpoints, tables, log, provenance."""
+"""Runs: training, resuming, evaluation, transfer, trained agents, export, and the run folder."""

@@ -3,53 +3,26 @@
 from __future__ import annotations
 
 import json
-import os
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tokenize import TokenError
 from typing import IO, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from shes.errors import CheckpointError, ConfigError
-from shes.free_space import free_memory
-from shes.runs.headers import SUFFIX, Header, read_headers
 from shes.storage import write_atomically
+from shes.types import ArrayHeader
 
 StateT = TypeVar("StateT")
 
 FORMAT = 2
 _OWN = ("format", "best_generation", "best_score", "best_return", "settings")
 """Arrays that do not belong to the algorithm."""
-_OWED = "owes_evaluation"
-"""Scalar of a checkpoint whose state has yet to be evaluated; others lack it."""
-_SCALARS = dict(zip((*_OWN, "seed", "generation", "env_steps"), "iiffUiii", strict=True))
-"""Arrays of every checkpoint, all of them scalars, with the kind of their type."""
-_MOST_SETTINGS = 2**22  # bytes
+_OF_EVERY_ALGORITHM = ("seed", "generation", "env_steps")
 _MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
-_END_OF_ZIP = 22  # bytes of the end-of-central-directory record of a zip file without a comment
-# Raised by NumPy and zipfile for a file that is truncated, damaged, or of another kind.
-_DAMAGES = (
-    AttributeError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TokenError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
-
-HeaderCheck: TypeAlias = Callable[[Mapping[str, Header]], object]
+ArrayCheck: TypeAlias = Callable[[Mapping[str, ArrayHeader]], object]
 """Checks the names, shapes and types of an algorithm's arrays."""
 
 
@@ -75,8 +48,6 @@ class Checkpoint:
     best: Best
     numbers: dict[str, Any]
     """Settings that change numbers: a checkpoint continues only the run that wrote it."""
-    owes_evaluation: bool = False
-    """Whether an evaluation of this state was under way. A run that continues from it begins with the evaluation."""
 
     @property
     def generation(self) -> int:
@@ -89,8 +60,8 @@ class Checkpoint:
         return int(self.arrays["env_steps"])
 
 
-def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
-    """Return all arrays of the file; raise ConfigError if the algorithm uses a reserved name."""
+def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool = False) -> None:
+    """Write `checkpoint` to `path`, atomically; a StorageError leaves an earlier file at `path` unchanged."""
     best = checkpoint.best
     own = {
         "format": np.int64(FORMAT),
@@ -98,38 +69,31 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
         "best_score": np.float64(best.score),
         "best_return": np.float64(best.mean_return),
         "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
-        **({_OWED: np.True_} if checkpoint.owes_evaluation else {}),
     }
-    taken = sorted({*own, _OWED} & checkpoint.arrays.keys())
-    if taken:
+    if taken := sorted(own.keys() & checkpoint.arrays.keys()):
         raise ConfigError(
             f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint reserves. "
             "Choose another name."
         )
-    return {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
-
-
-def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool = False) -> None:
-    """Write `checkpoint` to `path`, atomically; a StorageError leaves an earlier file at `path` unchanged."""
+    arrays = {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
 
     def write(file: IO[bytes]) -> None:
         save = np.savez_compressed if is_compressed else np.savez
-        save(file, allow_pickle=False, **_arrays(checkpoint))  # type: ignore[arg-type] - savez takes any name
+        save(file, allow_pickle=False, **arrays)  # type: ignore[arg-type] - savez takes any name
 
     write_atomically(path, write)
 
 
-def load_checkpoint(path: Path, check: HeaderCheck | None = None, *, with_state: bool = True) -> Checkpoint:
+def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
     Args:
         path: The file.
-        check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects. It is
-            called before any of them is read.
-        with_state: Whether to read all arrays; otherwise those alone that every checkpoint has, which is quick.
+        check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects.
+        with_state: Whether to read all arrays. Otherwise only those that every checkpoint has are read, which is quick.
 
     Raises:
-        CheckpointError: The file is missing, truncated, too large, or not a checkpoint of this version.
+        CheckpointError: The file is missing, truncated, or not a checkpoint of this version.
     """
     if not path.is_file():
         others = sorted(other.stem for other in path.parent.glob("*.npz") if other.is_file())
@@ -139,43 +103,21 @@ def load_checkpoint(path: Path, check: HeaderCheck | None = None, *, with_state:
             "to resume from it, copy it to last.npz."
         )
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            headers = read_headers(archive)
-            _check_count(file, len(headers))
-            _check_own(headers)
-            own = {name: _read(archive, name) for name in _OWN}
-            _check_format(int(own["format"]))
-            if check is not None:
-                check({name: header for name, header in headers.items() if name not in {*_OWN, _OWED}})
-            wanted = headers if with_state else _SCALARS
-            _check_memory({name: headers[name] for name in wanted})
-            arrays = {name: _read(archive, name) for name in wanted if name not in {*_OWN, _OWED}}
-        return _from_arrays(own, arrays, owes_evaluation=_OWED in headers)
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            names = file.files if with_state else (*_OWN, *_OF_EVERY_ALGORITHM)
+            arrays = {name: file[name] for name in names}
+        own = {name: arrays.pop(name).item() for name in _OWN}
+        _check_format(own["format"])
+        if check is not None:
+            check(arrays)
+        return _checkpoint(own, arrays)
     except CheckpointError as error:
         raise CheckpointError(f"{path} {error}") from error
-    except _DAMAGES as error:
+    except Exception as error:  # NumPy and zipfile raise errors of a dozen kinds for a damaged file
         raise _damaged(path, error) from error
 
 
-def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Return the array called `name`."""
-    with archive.open(name + SUFFIX) as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
-
-
-def _check_own(headers: Mapping[str, Header]) -> None:
-    """Raise KeyError or ValueError unless every checkpoint's own arrays are scalars of the right type and size."""
-    missing = [name for name in _SCALARS if name not in headers]
-    if missing:
-        raise KeyError(", ".join(missing))
-    for name, kind in _SCALARS.items():
-        header = headers[name]
-        if header.shape or header.dtype.kind != kind or header.nbytes > _MOST_SETTINGS:
-            raise ValueError(f"{name} is {header.dtype} of shape {header.shape}")
-
-
 def _check_format(version: int) -> None:
-    """Raise CheckpointError for another version of the format."""
     if version != FORMAT:
         raise CheckpointError(
             f"has checkpoint format {version}; this version of SHES reads {FORMAT}. "
@@ -183,22 +125,24 @@ def _check_format(version: int) -> None:
         )
 
 
-def _check_memory(headers: Mapping[str, Header]) -> None:
-    """Raise CheckpointError unless all arrays fit into the memory."""
-    size, free = sum(header.nbytes for header in headers.values()), free_memory()
-    if size > free:
-        raise CheckpointError(
-            f"holds {size / 1e9:,.1f} GB of arrays, but {free / 1e9:,.1f} GB of memory are free. "
-            "Take another one with --checkpoint, or a machine with more memory."
-        )
+def _checkpoint(own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
+    """Return the checkpoint with these arrays; raise ValueError if no run can have written it."""
+    best = Best(generation=own["best_generation"], score=own["best_score"], mean_return=own["best_return"])
+    if min(*(int(arrays[name].item()) for name in _OF_EVERY_ALGORITHM), best.generation + 1) < 0:
+        raise ValueError("a count is negative")
+    if not (best.score < np.inf and best.mean_return < np.inf):
+        raise ValueError("the best score or return is NaN or infinity")
+    return Checkpoint(arrays=arrays, best=best, numbers=dict(json.loads(own["settings"])))
 
 
-def _check_count(file: IO[bytes], count: int) -> None:
-    """Raise ValueError unless the zip file has the members that its end record counts: damage may hide some."""
-    file.seek(-_END_OF_ZIP, os.SEEK_END)
-    written = int.from_bytes(file.read(_END_OF_ZIP)[10:12], "little")
-    if written != count:
-        raise ValueError(f"{count} of {written} arrays can be read")
+def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:
+    """Return the algorithm's state in `checkpoint`, read from `path`; raise CheckpointError if it does not fit."""
+    try:
+        return from_arrays(checkpoint.arrays)
+    except CheckpointError as error:
+        raise CheckpointError(f"{path} {error}") from error
+    except Exception as error:
+        raise _damaged(path, error) from error
 
 
 def _damaged(path: Path, error: Exception) -> CheckpointError:
@@ -208,37 +152,3 @@ def _damaged(path: Path, error: Exception) -> CheckpointError:
         "program's file. Take another one with --checkpoint last, best or a generation; "
         "to resume from another one, copy it over last.npz."
     )
-
-
-def _from_arrays(
-    own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray], *, owes_evaluation: bool
-) -> Checkpoint:
-    """Return the checkpoint that `_arrays` converted; raise TypeError or ValueError if no run can have written it."""
-    checkpoint = Checkpoint(
-        arrays=arrays,
-        best=Best(
-            generation=int(own["best_generation"]),
-            score=float(own["best_score"]),
-            mean_return=float(own["best_return"]),
-        ),
-        numbers=json.loads(str(own["settings"])),
-        owes_evaluation=owes_evaluation,
-    )
-    best = checkpoint.best
-    if min(int(arrays["seed"]), checkpoint.generation, checkpoint.env_steps, best.generation + 1) < 0:
-        raise ValueError("a count is negative")
-    if not (best.score < np.inf and best.mean_return < np.inf):
-        raise ValueError("the best score or return is NaN or infinity")
-    if not isinstance(checkpoint.numbers, dict):
-        raise TypeError("the settings are not a JSON object")
-    return checkpoint
-
-
-def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:
-    """Return the algorithm's state in `checkpoint`, read from `path`; raise CheckpointError if it does not fit."""
-    try:
-        return from_arrays(checkpoint.arrays)
-    except CheckpointError as error:
-        raise CheckpointError(f"{path} {error}") from error
-    except _DAMAGES as error:
-        raise _damaged(path, error) from error

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
@@ -15,105 +17,116 @@ from shes.runs.sections import (
     RunSettings,
     WorkerSettings,
     algorithm_of,
+    by_name,
     check_names,
-    check_record,
-    settings_in,
+    sections_of,
+    settings_by_section,
+    unknown_setting,
 )
-from shes.settings import Execution, Setting, Settings
+from shes.settings import Execution, Setting, Settings, Unasked, setting_fields
 
 
+@dataclass(frozen=True, init=False)
 class TrainConfig:
-    """The settings of a training run, immutable, in sections: `config.run.seed`. See `shes.runs.sections`."""
+    """The settings of a training run in sections: `config.run.seed`. See `shes.runs.sections`."""
 
     run: RunSettings
     workers: WorkerSettings
     environment: TaskOptions
-    body: Settings
     episodes: EpisodeSettings
     evaluation: EvaluationSettings
+    sections: Mapping[str, Settings]
+    """All sections by name, these and those of the algorithm."""
+    options: Mapping[str, Mapping[str, Any]]
+    """Options of registered classes, such as backends, by section and name."""
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        """Build the sections from settings by name.
+    def __init__(self, sections: Mapping[str, Settings], options: Mapping[str, Mapping[str, Any]]) -> None:
+        self.__dict__.update(sections, sections=sections, options=options)
+
+    @classmethod
+    def of(cls, **values: Any) -> TrainConfig:
+        """Return the configuration with these settings: `TrainConfig.of(env="ant-gather", sigma=0.02)`.
 
         Raises:
             ConfigError: A setting is unknown, a value is out of range, or two values do not go together.
             UnknownNameError: A value is a name that is in no registry.
         """
-        classes = check_names(values)
-        self._set({section: cls.of(values) for section, cls in classes.items()})
-
-    def _set(self, sections: dict[str, Settings]) -> None:
-        self.__dict__["sections"] = sections
-        self._check()
-
-    @classmethod
-    def of(cls, **values: Any) -> TrainConfig:
-        """Return the configuration with these settings: `TrainConfig.of(env="ant-gather", sigma=0.02)`."""
-        return cls(values)
-
-    def having(self, **values: Any) -> TrainConfig:
-        """Return a copy with other values of some settings."""
-        return TrainConfig({**self.values, **values})
-
-    def __getattr__(self, name: str) -> Any:
-        sections = self.__dict__.get("sections", {})
-        if name not in sections:
-            raise AttributeError(f"a run has no section of settings {name!r} here; it has {', '.join(sections)}")
-        return sections[name]
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"settings cannot be changed: {name}. Use having().")
-
-    def __contains__(self, section: str) -> bool:
-        return section in self.sections
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, TrainConfig) and self.sections == other.sections
-
-    __hash__ = None  # type: ignore[assignment] - a section may not be hashable
-
-    def __repr__(self) -> str:
-        return f"TrainConfig({', '.join(map(repr, self.sections.values()))})"
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """The values of all settings by name."""
-        return {
-            name: getattr(section, name) for section in self.sections.values() for name in settings_in([type(section)])
+        known = check_names(values)
+        sections = {name: each.of(values) for name, each in sections_of(RunSettings.of(values)).items()}
+        options = {
+            section: {
+                name: each.checked(values.get(name, each.default))
+                for name, each in known[section].items()
+                if name not in setting_fields(type(own))
+            }
+            for section, own in sections.items()
         }
-
-    def setting(self, name: str) -> Setting:
-        """Return the description of setting `name`."""
-        return settings_in(map(type, self.sections.values()))[name]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON types, by section."""
-        return {name: section.to_dict() for name, section in self.sections.items()}
+        config = cls(sections, options)
+        config._check()
+        return config
 
     @classmethod
     def from_dict(cls, sections: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
-        """Return the configuration from the result of `to_dict`.
+        """Return the configuration from the result of `to_dict`. A missing setting has its default.
 
         Raises:
             ConfigError: A key is unknown, a value is not allowed, or a shared setting has two values.
             UnknownNameError: A value is a name that is in no registry.
         """
-        classes = check_record(sections)
-        config = cls.__new__(cls)
-        config._set({section: made(**sections.get(section, {})) for section, made in classes.items()})
-        return config
+        values: dict[str, Any] = {}
+        for section, own in sections.items():
+            if not isinstance(own, Mapping):
+                raise ConfigError(f"{section!r} must be an object of settings, got {own!r}.")
+            for name, value in own.items():
+                if values.setdefault(name, value) != value:
+                    raise ConfigError(
+                        f"{name} is {values[name]!r} in one section and {value!r} in section {section!r}. "
+                        "It is one setting: give both the same value."
+                    )
+        known = check_names(values)
+        for section, own in sections.items():
+            if section not in known:
+                raise ConfigError(f"a run of {values['env']} has no section of settings {section!r}.")
+            for name in own:
+                if name not in known[section]:
+                    raise unknown_setting(name, known[section], f" in section {section!r}")
+        return cls.of(**values)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the record, because a section with options of registered classes is a class made at run time."""
-        return TrainConfig.from_dict, (self.to_dict(),)
+    def having(self, **values: Any) -> TrainConfig:
+        """Return a copy with other values of some settings."""
+        return TrainConfig.of(**{**self.values, **values})
+
+    def __getattr__(self, name: str) -> Any:
+        sections = self.__dict__.get("sections", {})
+        raise AttributeError(f"a run has no section of settings {name!r} here; it has {', '.join(sections)}")
+
+    def __contains__(self, section: str) -> bool:
+        return section in self.sections
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """The values of all settings by name."""
+        values = {name: value for own in self.options.values() for name, value in own.items()}
+        for own in self.sections.values():
+            asked = (each.name for each in setting_fields(type(own)).values() if not each.has(Unasked))
+            values |= {name: getattr(own, name) for name in asked}
+        return values
+
+    def setting(self, name: str) -> Setting:
+        """Return the description of setting `name`."""
+        return by_name(settings_by_section(self.run))[name]
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Return the settings as JSON types, by section."""
+        return {
+            section: {name: _as_json(self.values[name]) for name in settings}
+            for section, settings in settings_by_section(self.run).items()
+        }
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
-        settings = settings_in(map(type, self.sections.values()))
-        values = {name: value for section in self.to_dict().values() for name, value in section.items()}
-        return {name: value for name, value in values.items() if not settings[name].has(Execution)}
-
-    # Derived properties.
+        settings = by_name(settings_by_section(self.run))
+        return {name: _as_json(self.values[name]) for name, each in settings.items() if not each.has(Execution)}
 
     @property
     def algorithm(self) -> type[Algorithm[Any]]:
@@ -130,11 +143,8 @@ class TrainConfig:
         """Control steps in an episode of evaluation."""
         return self.episodes.evaluation_horizon or self.episodes.horizon
 
-    # Checks of combinations.
-
     def _check(self) -> None:
         """Raise ConfigError for settings that do not go together."""
-        self._check_shared()
         if self.workers.device != "cpu" and find_environment(self.run.env).has_own_physics:
             raise ConfigError(
                 f"device is {self.workers.device!r}, but {self.run.env} has physics of its own: it runs on the CPU "
@@ -142,15 +152,6 @@ class TrainConfig:
             )
         self.algorithm.check(self)
 
-    def _check_shared(self) -> None:
-        """Check that a setting of two sections has one value."""
-        first: dict[str, tuple[str, Any]] = {}
-        for section, settings in self.sections.items():
-            for name in settings_in([type(settings)]):
-                value = getattr(settings, name)
-                home, other = first.setdefault(name, (section, value))
-                if value != other:
-                    raise ConfigError(
-                        f"{name} is {other!r} in section {home!r}, but {value!r} in section {section!r}. "
-                        "It is one setting: give both the same value."
-                    )
+
+def _as_json(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

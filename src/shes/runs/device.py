@@ -1,13 +1,23 @@
-"""The device of a run's physics: settings that need one, and its entry in the run's record."""
+"""The checks that a run fits this machine: settings of its device, number of workers, memory."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from shes.algorithms.worker import lanes_that_fit
+from shes.cores import num_cores
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError
+from shes.free_space import free_memory
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.episodes import empty_outcomes
 from shes.runs.config import TrainConfig
-from shes.sim.warp_device import WarpDevice
+
+_WORKER_BYTES = 45_000_000  # that a worker process shares with no other: 36 to 42 MB measured
+_ROW_BYTES = 10_000  # of a simulation, its task and its agent, without noise: up to 8.6 kB measured
+_TASK_BYTES = 400  # of a task in the parent process, per episode: 200 to 400 measured
 
 
 def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
@@ -33,18 +43,62 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
             )
 
 
-def device_facts(name: str) -> dict[str, str]:
-    """Return the record of device `name`: for a GPU its model and the versions of its software.
+def max_workers() -> int:
+    """Return the largest number of worker processes that are started on this machine."""
+    return max(64, 16 * num_cores())
 
-    Raises:
-        MissingExtraError: The device needs a package that is not installed.
-        ConfigError: The machine has no such device, or software versions do not match.
+
+def most_episodes(config: TrainConfig, *, is_evaluation: bool = False) -> int:
+    """Return the largest number of episodes at a time of a run, or of an evaluation alone.
+
+    More workers than that would be idle.
     """
-    return {"name": name} if name == "cpu" else WarpDevice(name).facts
+    policies, episodes = config.algorithm.population(config)
+    return max(0 if is_evaluation else policies * episodes, config.evaluation.evaluation_episodes)
 
 
-def device_changes(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Return the differences between the devices of two parts of a run: `device cpu -> cuda`."""
-    if before.get("name") != now["name"]:
-        return [f"device {before.get('name')} -> {now['name']}"]
-    return [f"{key} {before.get(key)} -> {value}" for key, value in now.items() if before.get(key) != value]
+def check_limits(config: TrainConfig, design: AgentDesign, *, is_evaluation: bool = False) -> None:
+    """Raise ConfigError unless the arrays and processes of a run, or of an evaluation alone, fit this machine."""
+    workers = _num_processes(config)
+    if workers > max_workers():
+        raise ConfigError(
+            f"num_workers is {workers:,}, but this machine has {num_cores()} cores: more than {max_workers()} worker "
+            f"processes are not started. Set --workers {max_workers()} or less; 0 is one for every core."
+        )
+    need, free = _memory(config, design, is_evaluation=is_evaluation), free_memory()
+    if need > free:
+        sizes = "--episodes" if is_evaluation else "--population-size, --evaluation-episodes, --horizon, --hidden"
+        raise ConfigError(
+            f"this takes {need / 1e9:,.1f} GB of memory, but {free / 1e9:,.1f} GB are free. Lower --chunk-size or "
+            f"--workers, which change no result, or {sizes}; or use a larger machine."
+        )
+
+
+def _num_processes(config: TrainConfig) -> int:
+    """Return the number of worker processes on this machine; 0 if this process, or a device, does the work."""
+    has_processes = config.workers.device == "cpu" and config.workers.backend == "processes"
+    return config.workers.count if has_processes else 0
+
+
+def _memory(config: TrainConfig, design: AgentDesign, *, is_evaluation: bool) -> int:
+    """Return the bytes of memory that agents of `design` take, in all processes."""
+    policies, rows = config.algorithm.population(config)
+    at_a_time = most_episodes(config, is_evaluation=is_evaluation)
+    workers = min(_num_processes(config), at_a_time)
+    env = find_environment(config.run.env)
+    instance_bytes = env.measured_bytes() if isinstance(env, ExternalEnvironment) else None
+
+    def rollout(policies: int, horizon: int) -> int:
+        """Return the bytes of a worker's arrays for its share of `policies`, in lockstep, with exploration noise."""
+        share = -(-policies // max(1, workers))
+        fitting = lanes_that_fit(sum(design.dims), rows, are_external=instance_bytes is not None)
+        lanes = min(share, config.workers.chunk_size or fitting)
+        decisions = -(-horizon // design.controller_interval)
+        noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
+        return lanes * (8 * sum(design.dims) + rows * (_ROW_BYTES + noise + (instance_bytes or 0)))
+
+    blocks = -(-config.evaluation.evaluation_episodes // rows)
+    rollouts = rollout(0 if is_evaluation else policies, config.episodes.horizon)
+    rollouts += rollout(blocks, config.evaluation_steps)
+    parent = at_a_time * (empty_outcomes(len(design.dims), 1).nbytes + _TASK_BYTES)
+    return parent + (workers * (_WORKER_BYTES + rollouts) if workers else rollouts)

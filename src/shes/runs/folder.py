@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -15,18 +14,15 @@ from typing import Any
 
 from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import Checkpoint, HeaderCheck, load_checkpoint
+from shes.runs.checkpoint import ArrayCheck, Checkpoint, load_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.device import device_changes
-from shes.runs.provenance import provenance
+from shes.runs.provenance import changes_since, provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
 from shes.storage import can_lock, storage_errors, write_atomically
 
 _FORMAT = 2
 _LOCK_S = 0.5
 """How long a lock is waited for: a list of runs takes it for a moment."""
-_OBJECTS = ("config", "versions", "machine", "device", "controller", "primitive")
-"""Entries of the record that are objects, where there are any."""
 
 
 def new_folder(config: TrainConfig, kind: str = "") -> Path:
@@ -55,29 +51,6 @@ def check_folder_of_runs(path: Path) -> None:
         raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
 
 
-def _folder_of_runs(path: Path, below: Sequence[RunFolder], *, or_several: bool) -> RunFolderError:
-    """Return the error that `path` holds the runs `below`, where one of them should be given, `or_several`."""
-    if len(below) == 1:
-        return RunFolderError(f"{path} is no run folder, but there is one below it: give {below[0].path}.")
-    shown = " ".join(str(folder.path) for folder in below[: 1 + or_several])
-    which = "one or several of them" if or_several else "one of them"
-    return RunFolderError(f"{path} is a folder of {len(below)} runs: give {which}, such as {shown}.")
-
-
-def _natural(path: Path) -> list[tuple[float, str]]:
-    """Return a key that orders paths by their numbers: seed-2 before seed-10."""
-    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
-    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]
-
-
-def _is_part(record: Any) -> bool:
-    """Return whether `record` can be what `provenance` says of a part of a run, with other entries."""
-    if not isinstance(record, dict) or not all(isinstance(record.get(name, {}), dict) for name in _OBJECTS):
-        return False
-    command = record.get("command", [])
-    return isinstance(command, list) and all(isinstance(word, str) for word in command)
-
-
 class RunFolder:
     """`config.json`, `progress.csv`, `evaluation.csv`, `checkpoints/`, `tensorboard/`, `log.txt`."""
 
@@ -92,58 +65,9 @@ class RunFolder:
         self.log = path / "log.txt"
         self._lock = path / ".lock"
 
-    @contextmanager
-    def lock(self) -> Iterator[None]:
-        """Hold the lock of the folder, so that no other process trains in it.
-
-        Raises:
-            RunFolderError: Another process holds it, the folder belongs to a shipped agent, or a symbolic link in it
-                leads out of it, or one of its files is not a regular one.
-            StorageError: The folder cannot be written.
-        """
-        name = shipped_name(self.path)
-        if name is not None:
-            raise RunFolderError(
-                f"{name} is a shipped agent, part of the package, and nothing is written into it. Begin a run with its "
-                f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
-                "checkpoints/best.npz as checkpoints/last.npz, and resume that."
-            )
-        self._check_links()
-        with storage_errors(self._lock):
-            file = self._lock.open("w")
-        with file:
-            give_up = monotonic() + _LOCK_S
-            while not can_lock(file):
-                if monotonic() > give_up:
-                    raise RunFolderError(
-                        f"{self.path} is in use: another process trains in it. Wait for its end, or choose another "
-                        "folder."
-                    )
-                sleep(_LOCK_S / 10)
-            yield
-
-    def _check_links(self) -> None:
-        """Raise RunFolderError if a file of the run would be written through a link out of it, or into a pipe."""
-        home = os.path.realpath(self.path)
-        files = (self.config, self.progress, self.evaluation, self.log, self._lock)
-        for place in (*files, self.checkpoints, self.tensorboard, self.tensorboard / "env_steps"):
-            if place.exists() and not (place.is_file() if place in files else place.is_dir()):
-                kind = "regular file" if place in files else "folder"
-                raise RunFolderError(f"{place} is not a {kind}: nothing is written there. Remove it.")
-            target = os.path.realpath(place)
-            if not Path(target).is_relative_to(home):
-                raise RunFolderError(
-                    f"{place} is a symbolic link that leads out of the run folder, to {target}: nothing is written "
-                    "there. Replace it by a copy."
-                )
-
     @classmethod
     def create(cls, path: Path) -> RunFolder:
-        """Create the folder at `path`; it holds a run once `record_start` has written its record.
-
-        Raises:
-            RunFolderError: `path` already holds a run or parts of one, or is a file.
-        """
+        """Create the folder at `path`; it holds a run once `record_start` has written its record."""
         folder = cls(path)
         folder.check_free()
         with storage_errors(path):
@@ -162,12 +86,12 @@ class RunFolder:
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
         # An interrupted start leaves the lock and first checkpoints; other files come from elsewhere.
         checkpoints = [] if self._lock.exists() else self.checkpoints.glob("*.npz")
-        for taken in (self.progress, self.evaluation, *checkpoints):
-            if taken.exists():
-                raise RunFolderError(
-                    f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
-                    "files. Choose another folder with --out."
-                )
+        taken = next((file for file in (self.progress, self.evaluation, *checkpoints) if file.exists()), None)
+        if taken is not None:
+            raise RunFolderError(
+                f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
+                "files. Choose another folder with --out."
+            )
 
     @classmethod
     def open(cls, run: Path | str, *, or_several: bool = False) -> RunFolder:
@@ -176,18 +100,68 @@ class RunFolder:
         The error for a folder of runs asks for one of them `or_several`.
         """
         folder = cls(find_run(run))
-        if not folder.config.is_file():
-            if below := cls.below(folder.path):
-                raise _folder_of_runs(folder.path, below, or_several=or_several)
-            if folder._lock.exists():
-                raise RunFolderError(
-                    f"{folder.path} holds a run that was stopped before it began. Begin it again by the same command."
-                )
-            what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
+        if folder.config.is_file():
+            return folder
+        if below := cls.below(folder.path):
+            raise _folder_of_runs(folder.path, below, or_several=or_several)
+        if folder._lock.exists():
             raise RunFolderError(
-                f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
+                f"{folder.path} holds a run that was stopped before it began. Begin it again by the same command."
             )
-        return folder
+        what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
+        raise RunFolderError(
+            f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
+        )
+
+    @classmethod
+    def below(cls, path: Path) -> list[RunFolder]:
+        """Return the run folders below `path` in natural order, without other programs' folders with a config.json."""
+        found = [cls(file.parent) for file in path.glob("**/config.json")]
+        known = [folder for folder in found if folder.checkpoints.is_dir() or folder.progress.is_file()]
+        return sorted(known, key=lambda folder: _natural(folder.path))
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the lock of the folder, so that no other process trains in it."""
+        name = shipped_name(self.path)
+        if name is not None:
+            raise RunFolderError(
+                f"{name} is a shipped agent, part of the package, and nothing is written into it. Begin a run with its "
+                f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
+                "checkpoints/best.npz as checkpoints/last.npz, and resume that."
+            )
+        with storage_errors(self._lock):
+            file = self._lock.open("w")
+        with file:
+            give_up = monotonic() + _LOCK_S
+            while not can_lock(file):
+                if monotonic() > give_up:
+                    raise RunFolderError(
+                        f"{self.path} is in use: another process trains in it. Wait for its end, or choose another "
+                        "folder."
+                    )
+                sleep(_LOCK_S / 10)
+            yield
+
+    def is_locked(self) -> bool:
+        """Return whether a process trains in the folder."""
+        if not self._lock.is_file():
+            return False
+        with self._lock.open() as file:
+            return not can_lock(file, is_shared=True)
+
+    def read_record(self) -> dict[str, Any]:
+        """Return the content of `config.json`, settings and provenance; raise RunFolderError if it is damaged."""
+        try:
+            record = json.loads(self.config.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error
+        if not isinstance(record, dict) or record.get("format") != _FORMAT:
+            raise RunFolderError(
+                f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
+                "printed; a run of another version of SHES needs that version."
+            )
+        return record
 
     def read_config(self) -> TrainConfig:
         """Return the settings of the run; raise RunFolderError or ConfigError if its record is not one."""
@@ -199,38 +173,20 @@ class RunFolder:
         except (ConfigError, UnknownNameError) as error:
             raise ConfigError(f"{self.config}: {error}") from error
 
-    @classmethod
-    def below(cls, path: Path) -> list[RunFolder]:
-        """Return the run folders below `path` in natural order, without other programs' folders with a config.json."""
-        found = [cls(file.parent) for file in path.glob("**/config.json")]
-        known = [folder for folder in found if folder.checkpoints.is_dir() or folder.progress.is_file()]
-        return sorted(known, key=lambda folder: _natural(folder.path))
+    def write_record(self, record: dict[str, Any]) -> None:
+        """Write `config.json`; raise StorageError if that fails."""
+        text = json.dumps(record, indent=2) + "\n"
+        write_atomically(self.config, lambda file: file.write(text.encode()))
 
     def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
         """Write the record of a new run, with the origins of levels that other runs trained."""
-        record = {
-            "format": _FORMAT,
-            "config": config.to_dict(),
-            **origins,
-            **provenance(config.workers.device, config.algorithm.packages),
-            "resumed": [],
-        }
-        self.write_record(record)
+        here = provenance(config.workers.device, config.algorithm.packages)
+        self.write_record({"format": _FORMAT, "config": config.to_dict(), **origins, **here, "resumed": []})
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
-        """Record that the run was resumed after `generation`; return the changes that may change numbers.
-
-        Versions are compared with those of the start, the device with that of the previous part.
-        """
-        record = self.read_record()
-        here, began = provenance(config.workers.device, config.algorithm.packages), record.get("versions", {})
-        changes = [
-            f"{name} {began[name]} -> {now}"
-            for name, now in here["versions"].items()
-            if name in began and began[name] != now  # an older run did not record all of them
-        ]
-        before = [record, *record.get("resumed", [])][-1].get("device", {"name": "cpu"})
-        changes += device_changes(before, here["device"])
+        """Record that the run was resumed after `generation`; return the changes that may change numbers."""
+        record, here = self.read_record(), provenance(config.workers.device, config.algorithm.packages)
+        changes = changes_since(record, here)
         record["config"] = config.to_dict()
         record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
         self.write_record(record)
@@ -240,12 +196,8 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int, check: HeaderCheck | None = None, *, with_state: bool = True) -> Checkpoint:
-        """Return checkpoint `name` of this run; `check` and `with_state` are those of `load_checkpoint`.
-
-        Raises:
-            CheckpointError: It is missing, damaged, or from another run.
-        """
+    def load(self, name: str | int, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
+        """Return checkpoint `name` of this run; for `check` and `with_state` see `load_checkpoint`."""
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
             raise CheckpointError(
@@ -254,41 +206,32 @@ class RunFolder:
         checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
         mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
-        missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
-        checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
-        if checkpoint.numbers != mine:
-            keys = sorted(mine.keys() | checkpoint.numbers.keys())
-            other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
-            shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
+        theirs = {name: checkpoint.numbers.get(name, config.setting(name).default) for name in mine}
+        if theirs != mine:
+            other = [name for name in sorted(mine) if theirs[name] != mine[name]]
+            shown = ", ".join(f"{name} is {theirs[name]!r}, not {mine[name]!r}" for name in other[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
         if seed != config.run.seed:
             raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
-        return checkpoint
+        return replace(checkpoint, numbers=mine)
 
-    def read_record(self) -> dict[str, Any]:
-        """Return the content of `config.json`, settings and provenance; raise RunFolderError if it is damaged."""
-        try:
-            if not self.config.is_file():  # a pipe would be waited for
-                raise FileNotFoundError("there is no such file")
-            record = json.loads(self.config.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error
-        if not isinstance(record, dict) or record.get("format") != _FORMAT:
-            raise RunFolderError(
-                f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
-                "printed; a run of another version of SHES needs that version."
-            )
-        resumed = record.get("resumed", [])
-        parts = [record, *resumed] if isinstance(resumed, list) else [None]
-        if not all(_is_part(part) for part in parts):
-            raise RunFolderError(
-                f"{self.config} is damaged: {', '.join(_OBJECTS)} must be objects, command a list of "
-                "words and resumed a list of objects. "
-                "Restore it from a copy."
-            )
-        return record
 
-    def write_record(self, record: dict[str, Any]) -> None:
-        """Write `config.json`; raise StorageError if that fails."""
-        text = json.dumps(record, indent=2) + "\n"
-        write_atomically(self.config, lambda file: file.write(text.encode()))
+def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """Return the first settings in which two runs differ, in words; empty if they are the same."""
+    names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
+    return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
+
+
+def _folder_of_runs(path: Path, below: Sequence[RunFolder], *, or_several: bool) -> RunFolderError:
+    """Return the error that `path` holds the runs `below`, where one of them should be given, `or_several`."""
+    if len(below) == 1:
+        return RunFolderError(f"{path} is no run folder, but there is one below it: give {below[0].path}.")
+    shown = " ".join(str(folder.path) for folder in below[: 1 + or_several])
+    which = "one or several of them" if or_several else "one of them"
+    return RunFolderError(f"{path} is a folder of {len(below)} runs: give {which}, such as {shown}.")
+
+
+def _natural(path: Path) -> list[tuple[float, str]]:
+    """Return a key that orders paths by their numbers: seed-2 before seed-10."""
+    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
+    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]

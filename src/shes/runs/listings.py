@@ -1,14 +1,73 @@
-"""Listings of runs and shipped agents: those below a folder, and the settings and the state of one."""
+"""The listings of `shes list` and `shes info`: the state of runs, and what is shipped."""
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from shes.errors import RunFolderError, ShesError
 from shes.listing import Listing, Table, facts_listing
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import FreshEvaluation, read_agent, shipped_name, shipped_names
-from shes.runs.state import RunState, run_state, states_below, unregistered_state
+from shes.runs.tables import read_csv
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunState:
+    """The state of a run. Fields that cannot be read are None."""
+
+    run: str
+    env: str | None
+    algorithm: str | None
+    preset: str | None
+    seed: int | None
+    generation: int | None
+    """Number of finished generations."""
+    generations: int | None
+    """Number of generations after which it ends."""
+    env_steps: int | None
+    best_score: float | None
+    """Score of the best evaluation; None before the first one."""
+    state: Literal["running", "finished", "stopped", "unreadable"]
+    """A `stopped` run can be resumed; settings or checkpoint of an `unreadable` one cannot be read."""
+    problem: str | None = None
+    """Why the run is unreadable."""
+
+
+def run_state(folder: RunFolder) -> RunState:
+    """Return the state of the run in `folder`, by its tables if its settings or its checkpoint cannot be read."""
+    name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
+    try:
+        config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
+    except ShesError as error:
+        return _state_by_tables(folder, str(error))
+    is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
+    names = ("env", "algorithm", "preset", "seed", "generations")
+    return RunState(
+        run=str(folder.path),
+        **{name: getattr(config.run, name) for name in names},
+        generation=checkpoint.generation,
+        env_steps=checkpoint.env_steps,
+        best_score=checkpoint.best.score if checkpoint.best.generation >= 0 else None,
+        state="running" if folder.is_locked() else "finished" if is_over else "stopped",
+    )
+
+
+def _state_by_tables(folder: RunFolder, problem: str) -> RunState:
+    """Return the state of a run that cannot be read because of `problem`."""
+    run: dict[str, Any] = {}
+    with suppress(ShesError, KeyError, TypeError, ValueError):
+        run = dict(folder.read_record()["config"]["run"])
+    reached: dict[str, Any] = {"generation": None, "env_steps": None, "best_score": None}
+    with suppress(RunFolderError, KeyError, ValueError, OverflowError):
+        progress = read_csv(folder.progress)
+        reached |= {name: int(progress[name][-1]) for name in ("generation", "env_steps")}
+        reached["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
+    names = ("env", "algorithm", "preset", "seed", "generations")
+    told = {name: run.get(name) for name in names}
+    return RunState(run=str(folder.path), **told, **reached, state="unreadable", problem=problem)
 
 
 def list_runs(folder: Path | str = "runs") -> Listing:
@@ -17,11 +76,12 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     Args:
         folder: The folder.
     """
-    runs, agents = states_below(Path(folder)), {name: read_agent(name) for name in shipped_names()}
+    runs = [run_state(each) for each in RunFolder.below(Path(folder))]
+    agents = {name: read_agent(name) for name in shipped_names()}
     parts: list[Table | str] = [f"There is no run below {folder}."]
     if runs:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
-    parts += [f"{run.run} is {run.state}: {run.problem}" for run in runs if run.problem is not None]
+    parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
     if agents:
         rows = [(name, it.env, *_scores(it.evaluation), f"{it.env_steps:,}") for name, it in agents.items()]
         parts += [
@@ -31,7 +91,7 @@ def list_runs(folder: Path | str = "runs") -> Listing:
             *(f"{name} {agent.description.rstrip('.')}." for name, agent in agents.items()),
         ]
     shown = {name: agent.to_dict() for name, agent in agents.items()}
-    return Listing({"runs": [run.to_dict() for run in runs], "agents": shown}, parts)
+    return Listing({"runs": [asdict(run) for run in runs], "agents": shown}, parts)
 
 
 def _scores(found: FreshEvaluation) -> list[str]:
@@ -43,7 +103,7 @@ def _row(run: RunState) -> tuple[str, ...]:
     """Return the cells of a run's row."""
     done, total = ("-" if each is None else each for each in (run.generation, run.generations))
     score = "-" if run.best_score is None else f"{run.best_score:.2f}"
-    return run.run, run.env or "-", f"{done} / {total}", score, run.state
+    return run.run, str(run.env or "-"), f"{done} / {total}", score, run.state
 
 
 def describe_run(run: Path | str, *, full: bool = False) -> Listing:
@@ -57,19 +117,17 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
     """
     folder = RunFolder.open(run)
-    if unregistered := unregistered_state(folder):
-        return facts_listing(unregistered.to_dict())
     record, config = folder.read_record(), folder.read_config()
     levels, name = ", ".join(config.level_names), shipped_name(folder.path)
     parts: list[Table | str] = []
     if name is None:
-        facts: dict[str, Any] = {
-            **run_state(folder).to_dict(),
+        state = asdict(run_state(folder))
+        facts = {
+            **{each: value for each, value in state.items() if each != "problem" or value is not None},
             "levels": levels,
             "started": record.get("started"),
-            "command": " ".join(record.get("command", [])),
+            "command": " ".join(map(str, record.get("command", []))),
         }
-        del facts["problem"]  # of a run that cannot be read
         shown = facts
     else:
         agent = read_agent(name)

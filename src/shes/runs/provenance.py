@@ -1,4 +1,4 @@
-"""The provenance of a run: time, command, versions, machine."""
+"""The provenance of a run: time, command, versions, machine and device."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from shes.runs.device import device_facts
+from shes.sim.warp_device import WarpDevice
 
 _PACKAGES = ("shes", "mujoco", "numpy")
 
@@ -23,24 +22,40 @@ def provenance(device: str, packages: Iterable[str] = ()) -> dict[str, Any]:
     """Return the provenance of a run of this process on `device`, as JSON types.
 
     Its versions are those of the packages that every run uses, and of those of `packages` that are installed.
+
+    Raises:
+        MissingExtraError: The device needs a package that is not installed.
+        ConfigError: The machine has no such device, or software versions do not match.
     """
-    versions = {name: _version(name) for name in _PACKAGES}
-    for name in packages:
+    versions = {"python": platform.python_version()}
+    for name in (*_PACKAGES, *packages):
         with suppress(metadata.PackageNotFoundError):
-            versions[name] = _version(name)
+            versions[name] = metadata.version(name)
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "versions": {"python": platform.python_version(), **versions},
+        "versions": versions,
         "git_commit": _git_commit(),
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
-        "device": device_facts(device),
+        "device": {"name": device} if device == "cpu" else WarpDevice(device).facts,
     }
 
 
-@cache
-def _version(package: str) -> str:
-    return metadata.version(package)
+def changes_since(record: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return the changes that may change numbers: `numpy 2.4 -> 2.5`, `device cpu -> cuda`.
+
+    Versions are compared with those at the start of the run with this record, the device with that of its last part.
+    """
+    began = record.get("versions", {})  # an older run did not record all of them
+    changes = [
+        f"{name} {began[name]} -> {version}"
+        for name, version in now["versions"].items()
+        if began.get(name, version) != version
+    ]
+    before = [record, *record.get("resumed", [])][-1].get("device", {"name": "cpu"})
+    if before.get("name") != now["device"]["name"]:
+        return [*changes, f"device {before.get('name')} -> {now['device']['name']}"]
+    return changes + [f"{k} {before.get(k)} -> {value}" for k, value in now["device"].items() if before.get(k) != value]
 
 
 def _git_commit() -> str | None:

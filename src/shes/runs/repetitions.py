@@ -1,9 +1,7 @@
 """Repetitions: runs that differ only in the seed, their own and those of the runs from which they have a level.
 
 The path of such a run says nothing of what it is: each seed may have a primitive of its own. Its settings count
-instead, and its planned length, on which depends what it has learned. The record of a run holds them; for an older
-record they are read in the folder of the other run. A shipped agent, or a folder that can no longer be read, counts by
-its name.
+instead, and its planned length. The record of a run holds them. A shipped agent counts by its name.
 """
 
 from __future__ import annotations
@@ -17,8 +15,6 @@ from shes.runs.folder import RunFolder
 from shes.runs.shipped import shipped_name
 
 _LENGTHS = ("generations", "env_steps")
-_Source = tuple[TrainConfig, Mapping[str, Any]]
-"""Settings and record of a run from which another one has a level."""
 
 
 def repeated_settings(folder: RunFolder) -> dict[str, Any]:
@@ -53,8 +49,7 @@ def _settings(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
     found = {name: value for name, value in config.numbers().items() if name != "seed"}
     for level, (theirs, origin) in _sources(config, record).items():
         found[level] = f"of {theirs.run.env}"
-        lengths = {name: getattr(theirs.run, name) for name in _LENGTHS}
-        of_level = {**_settings(theirs, origin), **lengths}
+        of_level = {**_settings(theirs, origin), **{name: getattr(theirs.run, name) for name in _LENGTHS}}
         found |= {f"{level}'s {name}": value for name, value in of_level.items() if name != "env"}
     return found
 
@@ -66,18 +61,14 @@ def _seeds(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, int]:
     return found
 
 
-def _sources(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, _Source]:
-    """Return the runs from which a run has a level, by level, without those that are not known."""
-    paths = {level: config.values[level] for level in config.algorithm.transfers}
-    found = {level: _source(path, record.get(level, {})) for level, path in paths.items() if path is not None}
-    return {level: source for level, source in found.items() if source is not None}
-
-
-def _source(path: str, origin: Mapping[str, Any]) -> _Source | None:
-    try:
-        if "config" in origin:
-            return TrainConfig.from_dict(origin["config"]), origin
-        folder = RunFolder.open(path)
-        return None if shipped_name(folder.path) else (folder.read_config(), folder.read_record())
-    except (ShesError, TypeError, AttributeError):  # TypeError and AttributeError: `origin` was edited
-        return None
+def _sources(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, tuple[TrainConfig, Mapping[str, Any]]]:
+    """Return settings and record of the runs from which a run has a level, by level, without those not known here."""
+    found = {}
+    for level in config.algorithm.transfers:
+        origin = record.get(level)
+        if isinstance(origin, Mapping) and "config" in origin:
+            try:
+                found[level] = TrainConfig.from_dict(origin["config"]), origin
+            except (ShesError, TypeError, AttributeError):  # of a class that is not registered here, or edited by hand
+                continue
+    return found

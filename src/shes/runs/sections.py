@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
@@ -19,7 +18,7 @@ from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError
 from shes.options import with_options
-from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown, Unasked, setting_fields
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown
 from shes.sim.warp_device import DEVICES
 
 
@@ -45,8 +44,6 @@ class RunSettings(Settings):
     """Environment steps of training; the run ends with the generation that reaches them, if not before."""
     minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None
     """Minutes after which this call ends, if not before."""
-    max_diverged_generations: Annotated[int, Ge(1), Execution()] = 10
-    """Generations in a row in which every episode diverges (NaN) after which the run ends with an error."""
 
     def is_over(self, generation: int, env_steps: int) -> bool:
         """Return whether a run ends after `generation` generations and `env_steps` environment steps."""
@@ -84,8 +81,6 @@ class EpisodeSettings(Settings):
     """Control steps in an episode of training (Table I: 500)."""
     evaluation_horizon: Annotated[int, Ge(1)] | None = None
     """Control steps in an episode of evaluation; as in training if none."""
-    evaluation_reset_noise: Annotated[float, Ge(0), Lt(1)] = 0.1
-    """Reset noise in evaluation episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,10 +92,9 @@ class EvaluationSettings(Settings):
     evaluation_episodes: Annotated[int, Ge(1)] = 50
     """Episodes of an evaluation."""
     keep_checkpoints: Annotated[int, Ge(1), Execution()] = 50
-    """Generations between the checkpoints kept beside `last` and `best`."""
+    """Generations between the checkpoints that are kept in addition to `last` and `best`."""
 
 
-_NO_ENVIRONMENT = "the configuration names no environment (key 'env')."
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -123,29 +117,24 @@ def algorithm_of(run: RunSettings) -> type[Algorithm[Any]]:
 
 
 def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by section, in the order of the help; raise ConfigError if names clash."""
+    """Return the settings classes of a run by section, in the order of the help."""
     env = find_environment(run.env)
-    body = env.body.Options if isinstance(env, Environment) else Settings
-    sections = with_options(
-        {
-            "run": RunSettings,
-            "workers": WorkerSettings,
-            **algorithm_of(run).sections,
-            "environment": env.options,
-            **({"body": body} if setting_fields(body) else {}),
-            "episodes": EpisodeSettings,
-            "evaluation": EvaluationSettings,
-        }
-    )
-    _check_distinct(sections)
-    return sections
+    body = {"body": env.body.Options} if isinstance(env, Environment) and env.body.Options is not Settings else {}
+    of_episodes = {"episodes": EpisodeSettings, "evaluation": EvaluationSettings}
+    first: dict[str, type[Settings]] = {"run": RunSettings, "workers": WorkerSettings}
+    return {**first, **algorithm_of(run).sections, "environment": env.options, **body, **of_episodes}
 
 
-def _check_distinct(sections: Mapping[str, type[Settings]]) -> None:
-    """Raise ConfigError if settings of different sections have one name, unless it is a shared setting."""
+def settings_by_section(run: RunSettings) -> dict[str, dict[str, Setting]]:
+    """Return the settings of a run by section and name.
+
+    Raises:
+        ConfigError: Settings of different sections have one name, and are not one shared setting.
+    """
+    found = with_options(sections_of(run))
     first: dict[str, tuple[str, Setting]] = {}
-    for section, cls in sections.items():
-        for name, setting in settings_in([cls]).items():
+    for section, settings in found.items():
+        for name, setting in settings.items():
             home, other = first.setdefault(name, (section, setting))
             if home == section or (setting.has(Shared) and setting.default == other.default):
                 continue
@@ -154,92 +143,49 @@ def _check_distinct(sections: Mapping[str, type[Settings]]) -> None:
                 f"{name!r} is a setting of section {home!r} (default {other.default!r}) and another one of section "
                 f"{section!r} (default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
             )
+    return found
 
 
-def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
-    """Return the settings of several classes by name, without `Unasked` fields."""
-    return {name: setting for cls in classes for name, setting in _asked(cls).items()}
-
-
-@cache
-def _asked(cls: type[Settings]) -> dict[str, Setting]:
-    return {name: setting for name, setting in setting_fields(cls).items() if not setting.has(Unasked)}
+def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]:
+    """Return the settings of all `sections` by name."""
+    return {name: setting for settings in sections.values() for name, setting in settings.items()}
 
 
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
-    tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    methods = [cls for each in algorithm_classes() for cls in with_options(each.sections).values()]
-    return settings_in([*with_options(_OF_EVERY_RUN).values(), *tasks, *methods])
+    tasks = {str(cls): cls for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
+    sections = [_OF_EVERY_RUN, tasks, *(each.sections for each in algorithm_classes())]
+    return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 
 
 def execution_settings() -> dict[str, Setting]:
     """Return the settings that do not change the numbers of a run, by name."""
-    settings = settings_in(with_options(_OF_EVERY_RUN).values())
-    return {name: each for name, each in settings.items() if each.has(Execution)}
+    return {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
 
 
-def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by section; raise ConfigError unless all names in `values` are settings."""
+def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
+    """Return the settings of a run with `values`; raise ConfigError unless all names in `values` are among them."""
     if "env" not in values:
-        raise ConfigError(_NO_ENVIRONMENT)
-    classes = sections_of(RunSettings.of(values))
-    here = settings_in(classes.values())
-    _check_choices(here, values)
-    for name in values:
-        if name not in here:
-            raise _not_here(name, values, here)
-    return classes
-
-
-def check_record(sections: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run with this record, by section.
-
-    A missing setting takes its default. A setting that was deleted by hand is detected, because checkpoints store the
-    settings too.
-
-    Raises:
-        ConfigError: A section or a setting is unknown.
-        UnknownNameError: A value is an unknown name.
-    """
-    for section, values in sections.items():
-        if not isinstance(values, Mapping):
-            raise ConfigError(f"{section!r} must be an object of settings, got {values!r}.")
-    run = sections.get("run", {})
-    if "env" not in run:
-        raise ConfigError(_NO_ENVIRONMENT)
-    classes = sections_of(RunSettings.of(run))
-    settings = {section: settings_in([cls]) for section, cls in classes.items()}
-    for section, values in sections.items():
-        if section not in classes:
-            raise ConfigError(f"a run of {run['env']} has no section of settings {section!r}.")
-        _check_choices(settings[section], values)
-        for name in values:
-            if name not in settings[section]:
-                raise _unknown(name, settings[section], f" in section {section!r}")
-    return classes
-
-
-def _check_choices(settings: Mapping[str, Setting], values: Mapping[str, Any]) -> None:
-    """Raise for a value that is not one of its setting's names: a class that is not registered may have options."""
-    for name, setting in settings.items():
+        raise ConfigError("the configuration names no environment (key 'env').")
+    sections = settings_by_section(RunSettings.of(values))
+    here = by_name(sections)
+    for name, setting in here.items():
         if name in values and setting.has(Choices):
-            setting.checked(values[name])
+            setting.checked(values[name])  # first: a class that is not registered may have options
+    for name in values:
+        if name in here:
+            continue
+        everywhere = known_settings()
+        if name not in everywhere:
+            raise unknown_setting(name, here)
+        raise ConfigError(
+            f"{name} is not a setting of a run of {values['env']} with algorithm "
+            f"{values.get('algorithm', RunSettings.algorithm)!r}, got {values[name]!r}. Omit {everywhere[name].flag}."
+        )
+    return sections
 
 
-def _not_here(name: str, values: Mapping[str, Any], here: Mapping[str, Setting]) -> ConfigError:
-    """Return the error for setting `name`, which is none of the settings `here` of a run with `values`."""
-    everywhere = known_settings()
-    if name not in everywhere:
-        return _unknown(name, here)
-    algorithm = values.get("algorithm", RunSettings.algorithm)
-    return ConfigError(
-        f"{name} is not a setting of a run of {values['env']} with algorithm {algorithm!r}, "
-        f"got {values[name]!r}. Omit {everywhere[name].flag}."
-    )
-
-
-def _unknown(name: str, known: Iterable[str], where: str = "") -> ConfigError:
+def unknown_setting(name: str, known: Iterable[str], where: str = "") -> ConfigError:
     """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
     close = difflib.get_close_matches(name, known, n=3)
     hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."

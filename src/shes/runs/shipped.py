@@ -1,6 +1,6 @@
 """Shipped agents: trained agents in the package, whose names can be given instead of a run folder.
 
-Each is a small run folder below `agents/`, with `agent.json` beside its `config.json`. `ship` makes one from a run.
+Each is a small run folder below `agents/`, with `agent.json` beside its `config.json`.
 """
 
 from __future__ import annotations
@@ -86,13 +86,6 @@ def shipped_names() -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in AGENTS.glob(f"*/{AGENT_FILE}")))
 
 
-def shipped_path(name: str) -> Path:
-    """Return the folder of the shipped agent `name`; raise UnknownNameError if there is none."""
-    if name not in shipped_names():
-        raise UnknownNameError("shipped agent", name, shipped_names(), "`shes list` shows them.")
-    return AGENTS / name
-
-
 def shipped_name(path: Path) -> str | None:
     """Return the name of the shipped agent in folder `path`; None if `path` is not below the folder of agents."""
     place = path.resolve()
@@ -101,7 +94,9 @@ def shipped_name(path: Path) -> str | None:
 
 def read_agent(name: str) -> ShippedAgent:
     """Return the description of the shipped agent `name`; raise RunFolderError if it is damaged."""
-    file = shipped_path(name) / AGENT_FILE
+    if name not in shipped_names():
+        raise UnknownNameError("shipped agent", name, shipped_names(), "`shes list` shows them.")
+    file = AGENTS / name / AGENT_FILE
     try:
         return ShippedAgent.from_dict(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -114,9 +109,8 @@ def find_run(run: Path | str) -> Path:
     Only a string can be a name. An existing path takes precedence over a name; `./name` and a `pathlib.Path` are
     always paths.
     """
-    if isinstance(run, str) and run in shipped_names() and not os.path.lexists(run):
-        return AGENTS / run
-    return Path(run)
+    is_name = isinstance(run, str) and run in shipped_names() and not os.path.lexists(run)
+    return AGENTS / run if is_name else Path(run)
 
 
 def run_text(run: Path | str) -> str:

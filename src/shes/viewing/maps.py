@@ -10,8 +10,8 @@ import numpy as np
 
 from shes.algorithms.contract import Explored
 from shes.drawing.renderer import Extent, Outline, extent_of, outlines
+from shes.runs.build import open_run
 from shes.runs.folder import RunFolder
-from shes.training.build import open_run
 from shes.types import F64Array
 from shes.viewing.curve_figures import numbers
 from shes.viewing.playback import Playback

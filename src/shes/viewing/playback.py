@@ -15,9 +15,9 @@ import numpy as np
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.hierarchy.views import View
-from shes.training.build import open_run
-from shes.training.evaluate import fresh_seeds
-from shes.training.loaded_agent import Agent
+from shes.runs.build import open_run
+from shes.runs.evaluate import fresh_seeds
+from shes.runs.loaded_agent import Agent
 from shes.types import F64Array
 
 _TRAIL_STEPS = 150

@@ -20,13 +20,13 @@ from shes.checked import checked
 from shes.errors import ShesError
 from shes.hierarchy.episodes import PARTS
 from shes.runs.config import TrainConfig
+from shes.runs.evaluate import Evaluation, evaluate
+from shes.runs.listings import run_state
+from shes.runs.make_config import make_config
 from shes.runs.repetitions import differing_settings
 from shes.runs.shipped import read_agent, shipped_name
-from shes.runs.state import run_state
 from shes.settings import Ge, Shown
 from shes.storage import write_atomically
-from shes.training.evaluate import Evaluation, evaluate
-from shes.training.make_config import make_config
 from shes.types import F64Array
 from shes.viewing.curve_figures import SECTIONS, curve_figure, panels_of
 from shes.viewing.curves import confidence_interval

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.evolution.learned_levels import by_episodes, explores, is_alone, is_branched, learns
-from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
+from shes.algorithms.evolution.sections import HierarchySettings
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.schedules import SCHEDULES
 from shes.hierarchy.views import PRIMITIVE_VIEWS
 from shes.settings import flag, out_of_range, setting_fields
 
@@ -23,7 +22,6 @@ _OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping
 
 def check_together(settings: Any) -> None:
     """Raise ConfigError for values that do not go together."""
-    _check_schedules(settings.values)
     if is_alone(settings) and learns(settings) == (False,):
         raise ConfigError(
             f"the primitive {settings.transfer.primitive!r} is frozen, so nothing would learn in a run of "
@@ -36,24 +34,6 @@ def check_together(settings: Any) -> None:
         _check_branches(settings)
     if explores(settings):
         _check_exploration(settings)
-
-
-def _check_schedules(values: Mapping[str, Any]) -> None:
-    """Check that every schedule has a valid end value and that constant settings have none."""
-    for name, (kind, end) in SCHEDULED.items():
-        is_constant, has_end = values[kind] == "constant", values[end] is not None
-        if is_constant and has_end:
-            raise ConfigError(
-                f"{end} is {values[end]}, but {name} is constant. Set {flag(kind)} to "
-                f"{', '.join(other for other in SCHEDULES if other != 'constant')}, or omit {flag(end)}."
-            )
-        if not is_constant and not has_end:
-            raise ConfigError(f"{kind} is {values[kind]!r}, but {end} is not set. Set {flag(end)}.")
-        if has_end and not values[end] and not SCHEDULES.find(values[kind]).can_end_at_zero:
-            raise ConfigError(
-                f"the end of the {values[kind]} schedule of {name} must be positive, got {values[end]}. "
-                f"Set {flag(kind)} to another one, or change {flag(end)}."
-            )
 
 
 def _check_population(settings: Any) -> None:
@@ -182,22 +162,15 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
 
 def warnings(settings: Any) -> list[str]:
     """Return a warning if branches are longer than episodes, and one if the run ends before its schedules do."""
-    return [*_branch_warnings(settings), *_schedule_warnings(settings)]
-
-
-def _branch_warnings(settings: Any) -> list[str]:
-    if not is_branched(settings) or not learns(settings)[-1]:
-        return []
-    steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
-    if steps <= horizon:
-        return []
-    return [f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals"]
-
-
-def _schedule_warnings(settings: Any) -> list[str]:
-    generations, last = settings.schedules.schedule_generations, settings.run.generations
-    is_constant = all(settings.values[kind] == "constant" for kind, _ in SCHEDULED.values())
-    if is_constant or last >= generations:
-        return []
-    warning = f"the schedules take {generations} generations, but the run ends after {last}, short of their end"
-    return [f"{warning}: see --schedule-generations"]
+    found = list[str]()
+    evolution, last = settings.evolution, settings.run.generations
+    if is_branched(settings) and learns(settings)[-1]:
+        steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
+        if steps > horizon:
+            found.append(f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals")
+    if (evolution.sigma_end, evolution.learning_rate_end) != (None, None) and last < evolution.schedule_generations:
+        found.append(
+            f"the schedules take {evolution.schedule_generations} generations, but the run ends after {last}, short "
+            "of their end: see --schedule-generations"
+        )
+    return found

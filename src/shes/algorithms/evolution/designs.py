@@ -18,7 +18,6 @@ from shes.hierarchy.rewards import make_primitive_reward
 from shes.hierarchy.views import (
     CONTROLLER_VIEWS,
     PRIMITIVE_VIEWS,
-    ColumnsView,
     Proprioception,
     SectorsView,
     View,
@@ -40,7 +39,7 @@ def goal_design(problem: Problem) -> GoalDesign:
     """Return the design of a primitive, with its controller unless the environment sets the goals.
 
     Raises:
-        ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the position is unknown.
+        ConfigError: A view or the symmetry does not suit the environment, or the position is unknown.
     """
     task, settings = problem.sample(), problem.settings
     hierarchy = settings.hierarchy
@@ -140,27 +139,11 @@ def _controller_view(settings: Any, task: EpisodeBatch) -> View:
 
 
 def primitive_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the primitive; raise ConfigError if it has no position to hide, or the robot no such view."""
-    hierarchy = settings.hierarchy
-    choice = PRIMITIVE_VIEWS.find(hierarchy.primitive_view)
+    """Return the view of the primitive; raise ConfigError if the robot has no such view."""
+    choice = PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view)
     if choice.sees_task and is_alone(settings):
         choice = Proprioception  # the task's own observation would tell it where the goal is
-    view = _view(settings, task, "primitive_view", choice)
-    if not hierarchy.hide_position:
-        return view
-    if not isinstance(view, ColumnsView):
-        raise ConfigError(
-            f"hide_position is true, but an {hierarchy.primitive_view} view contains no absolute position. "
-            "Omit --hide-position."
-        )
-    columns = view.indices or ()
-    shown = [column for column in columns if column not in task.position_columns]
-    if len(shown) == len(columns):
-        raise ConfigError(
-            f"hide_position is true, but a primitive in {settings.run.env} observes no absolute position. "
-            "Omit --hide-position."
-        )
-    return ColumnsView(shown)
+    return _view(settings, task, "primitive_view", choice)
 
 
 def primitive_inputs(problem: Problem) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ class Hyperparameters:
 
     population_size: int
     """Number of members per generation, including mirrored ones (n)."""
-    episodes_per_policy: Schedule
+    episodes_per_policy: int
     """Number of episodes per member (E). The fitness is their mean return."""
     sigma: Schedule
     """Standard deviation of the perturbations."""
@@ -116,10 +116,6 @@ class Hyperparameters:
     def signs(self, generation: int) -> Signs:
         """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
         return self.perturbation.signs(generation, self.population_size, self.mirrored, self.by_episodes)
-
-    def episodes(self, generation: int) -> int:
-        """Return the number of episodes per member in `generation`."""
-        return max(1, round(self.episodes_per_policy.value(generation)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +166,7 @@ def draw_episodes(
 ) -> Draws:
     """Return the members that whole episodes evaluate in the generation that follows `state`."""
     estimate, generation = settings.intervals, state.generation
-    signs, episodes, levels = settings.signs(generation), settings.episodes(generation), state.levels
+    signs, episodes, levels = settings.signs(generation), settings.episodes_per_policy, state.levels
     parameters = LevelParameters.of_all(levels)
     is_searching = state.archive is not None and not state.archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander

@@ -9,7 +9,7 @@ import numpy as np
 
 from shes.algorithms.evolution.estimates import Hyperparameters, IntervalEstimate
 from shes.algorithms.evolution.learned_levels import explores, is_branched, learns
-from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
+from shes.algorithms.evolution.sections import HierarchySettings
 from shes.algorithms.evolution.way_search import SLICES, WaySearch
 from shes.algorithms.problem import Problem
 from shes.es.archive import Archive
@@ -17,7 +17,7 @@ from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import Schedule
-from shes.es.shaping import FITNESS_SHAPINGS
+from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.agent import AgentDesign
 from shes.options import make
@@ -26,28 +26,29 @@ from shes.options import make
 def make_hyperparameters(problem: Problem) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
     settings = problem.settings
-    evolution, schedules, values = settings.evolution, settings.schedules, settings.values
-
-    def schedule(name: str) -> Schedule:
-        kind, end = (getattr(schedules, setting) for setting in SCHEDULED[name])
-        start, generations = getattr(evolution, name), schedules.schedule_generations
-        return Schedule(kind=kind, start=start, end=start if end is None else end, generations=generations)
-
+    evolution, values = settings.evolution, settings.values
+    sigma, learning_rate = _schedule(evolution, "sigma"), _schedule(evolution, "learning_rate")
     return Hyperparameters(
         population_size=evolution.population_size,
-        episodes_per_policy=schedule("episodes_per_policy"),
-        sigma=schedule("sigma"),
-        learning_rate=schedule("learning_rate"),
+        episodes_per_policy=evolution.episodes_per_policy,
+        sigma=sigma,
+        learning_rate=learning_rate,
         updates=make_update_rules(settings),
         learns=learns(settings),
         mirrored=evolution.mirrored,
         perturbation=make(PERTURBATIONS, values.get("perturbation", HierarchySettings.perturbation), values),
         common_random_numbers=evolution.common_random_numbers,
         statistics_fraction=evolution.statistics_fraction,
-        intervals=_interval_estimate(settings, schedule("sigma"), schedule("learning_rate")),
+        intervals=_interval_estimate(settings, sigma, learning_rate),
         search=_way_search(problem) if explores(settings) else None,
         horizon=settings.episodes.horizon,
     )
+
+
+def _schedule(evolution: Any, name: str) -> Schedule:
+    """Return the schedule of the quantity called `name`."""
+    start, end = getattr(evolution, name), getattr(evolution, f"{name}_end")
+    return Schedule(start=start, end=end, generations=evolution.schedule_generations)
 
 
 def _way_search(problem: Problem) -> WaySearch:
@@ -93,8 +94,7 @@ def make_update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     evolution, values = settings.evolution, settings.values
     rule = UpdateRule(
         weight_decay=evolution.weight_decay,
-        decouples_decay=evolution.weight_decay_form == "decoupled",
-        holds_when_tied=evolution.hold_tied,
+        holds_when_tied=values["rank_ties"] == "average",
         shaping=make(FITNESS_SHAPINGS, evolution.fitness_shaping, values),
         optimizer=make(OPTIMIZERS, evolution.optimizer, values),
     )
@@ -102,10 +102,7 @@ def make_update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     if "estimate" in settings:
         own["primitive"] = {"fall_price": settings.estimate.fall_price}
     if is_branched(settings):
-        own["primitive"]["shaping"] = make(FITNESS_SHAPINGS, settings.estimate.primitive_fitness_shaping, values)
-    decay = values.get("controller_weight_decay")
-    if decay is not None:
-        own["controller"] = {"weight_decay": decay}
+        own["primitive"]["shaping"] = PairRanks()
     return tuple(replace(rule, **own.get(name, {})) for name in settings.level_names)
 
 

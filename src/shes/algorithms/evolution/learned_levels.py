@@ -39,8 +39,7 @@ def population(settings: Any) -> tuple[int, int]:
     """Return the number of policies in a generation, those in branches included, and the most episodes of each."""
     evolution = settings.evolution
     branches = settings.values.get("primitive_population_size") or 0
-    episodes = max(evolution.episodes_per_policy, settings.schedules.episodes_end or 1)
-    return evolution.population_size + branches, episodes
+    return evolution.population_size + branches, evolution.episodes_per_policy
 
 
 def steps_per_generation(settings: Any) -> int:

@@ -47,7 +47,7 @@ class PrimitiveTransfer(_Transfer):
         view = source.hierarchy.primitive_view
         is_plain = is_alone(source) and PRIMITIVE_VIEWS.find(view).sees_task
         return {
-            **{name: source.values[name] for name in ("goal_encoding", "clock_frequency", "hide_position", "symmetry")},
+            **{name: source.values[name] for name in ("goal_encoding", "clock_frequency", "symmetry")},
             "hidden" if level_names == ("primitive",) else "primitive_hidden": primitive_layers(source),
             "primitive_view": "proprioception" if is_plain else view,
         }

@@ -22,7 +22,6 @@ SES_PRESETS: Mapping[str, Preset] = {
             "population_size": 1000,
             "episodes_per_policy": 5,
             "sigma": 0.02,
-            "hold_tied": False,
             "biases": "glorot_normal",
             "rank_ties": "index",
             "common_random_numbers": "off",

@@ -18,7 +18,6 @@ from shes.es.mirror import MIRRORINGS
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.schedules import SCHEDULES
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
@@ -27,13 +26,6 @@ from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
-
-SCHEDULED = {
-    "learning_rate": ("learning_rate_schedule", "learning_rate_end"),
-    "sigma": ("sigma_schedule", "sigma_end"),
-    "episodes_per_policy": ("episodes_schedule", "episodes_end"),
-}
-"""Settings with a schedule: the settings of its kind and of its end."""
 
 
 def _registered(registry: Registry[Any], kind: str) -> Choices:
@@ -53,17 +45,19 @@ class EvolutionSettings(Settings):
     sigma: Annotated[float, Gt(0), Shown(everyday=True)] = 0.07
     """Standard deviation of the perturbations (Table I: 0.02)."""
     learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 0.01
-    """Learning rate (Table I, for Adam: 0.01); with clipup half of the maximum length of a step."""
+    """Learning rate (Table I, for Adam: 0.01)."""
+    sigma_end: Annotated[float, Gt(0)] | None = None
+    """Sigma after schedule_generations, reached by a constant factor per generation; none for a constant sigma."""
+    learning_rate_end: Annotated[float, Gt(0)] | None = None
+    """The same for the learning rate."""
+    schedule_generations: Annotated[int, Ge(1), Needs("sigma_end"), Needs("learning_rate_end")] = 1000
+    """Generations in which sigma and the learning rate reach their ends."""
     weight_decay: Annotated[float, Ge(0)] = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
-    weight_decay_form: Literal["gradient", "decoupled"] = "gradient"
-    """Where the weight decay applies: gradient (before the optimizer, as in the authors' code) or decoupled (AdamW)."""
     mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
     """How the members of a group mirror its noise (section II-F)."""
     fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
     """Fitness shaping."""
-    hold_tied: bool = True
-    """Whether a level stays unchanged if all its members have the same fitness (the paper's method: no)."""
     optimizer: Annotated[str, Choices(OPTIMIZERS, is_described=True)] = "adam"
     """Optimizer."""
     common_random_numbers: Annotated[str, Choices(COMMON_RANDOM_NUMBERS)] = "group"
@@ -72,32 +66,6 @@ class EvolutionSettings(Settings):
     """Fraction of the mirrored groups whose observations enter the observation statistics."""
     noise_table_size: Annotated[int, Ge(2)] = DEFAULT_TABLE_SIZE
     """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScheduleSettings(Settings):
-    """Schedules."""
-
-    learning_rate_schedule: Annotated[str, Choices(SCHEDULES)] = "constant"
-    """Schedule of the learning rate."""
-    learning_rate_end: Annotated[float, Ge(0)] | None = None
-    """Learning rate at the end of its schedule."""
-    sigma_schedule: Annotated[str, Choices(SCHEDULES)] = "constant"
-    """Schedule of sigma."""
-    sigma_end: Annotated[float, Gt(0)] | None = None
-    """Standard deviation of the perturbations at the end of its schedule."""
-    episodes_schedule: Annotated[str, Choices(SCHEDULES)] = "constant"
-    """Schedule of the episodes per policy, which are rounded."""
-    episodes_end: Annotated[int, Ge(1)] | None = None
-    """Episodes per policy at the end of their schedule."""
-    schedule_generations: Annotated[
-        int,
-        Ge(1),
-        Needs("learning_rate_end"),
-        Needs("sigma_end"),
-        Needs("episodes_end"),
-    ] = 1000
-    """Generations from the start to the end of every schedule."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,8 +109,6 @@ class PrimitiveSettings(Settings):
     """Values that the primitive observes in addition to its goal."""
     symmetry: Annotated[str, Choices(SYMMETRIES), Needs("primitive_view", ("egocentric",))] = "none"
     """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
-    hide_position: bool = False
-    """Whether the primitive does not observe the robot's absolute x and y (as in Gymnasium's Ant by default)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,8 +124,6 @@ class HierarchySettings(PrimitiveSettings):
     hidden counts the units per sector)."""
     controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
     """Values that the controller observes."""
-    controller_weight_decay: Annotated[float, Ge(0)] | None = None
-    """Weight decay of the controller; none for weight_decay. Without reward, only the decay changes a controller."""
     perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"
     """Which levels a generation perturbs (section II-E)."""
     primitive_hidden: Annotated[tuple[int, ...], Ge(1), Example("64 64")] | None = None
@@ -175,8 +139,6 @@ class PrimitiveEstimateSettings(Settings):
 
     primitive_estimate: Literal["episode", "interval"] = "episode"
     """How the primitive is evaluated: by whole episodes, or by intervals (pairs that branch off the same state)."""
-    primitive_fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS), _BY_INTERVAL] = "pair_rank"
-    """Fitness shaping of a primitive that is evaluated by intervals."""
     intervals: Annotated[int, Ge(1), _BY_INTERVAL] = 2
     """Goals that a branch pursues, each for a controller interval."""
     fall_price: Annotated[float, Ge(0)] = 0.0
@@ -212,14 +174,11 @@ class TransferSettings(PrimitiveTransferSettings):
     """Transfer (section II-D)."""
 
     controller: Annotated[str, Example("runs/walk")] | None = None
-    """Run or shipped agent whose controller is transferred, with its observation statistics. It continues to learn."""
-    controller_checkpoint: Annotated[str, Needs("controller")] = "best"
-    """Checkpoint of that run: best, last or the number of a generation."""
+    """Run or shipped agent whose best controller is transferred, with its observation statistics. It keeps learning."""
 
 
-_EVERY: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "schedules": ScheduleSettings}
 SHES_SECTIONS: Mapping[str, type[Settings]] = {
-    **_EVERY,
+    "evolution": EvolutionSettings,
     "exploration": ExplorationSettings,
     "networks": NetworkSettings,
     "hierarchy": HierarchySettings,
@@ -228,12 +187,12 @@ SHES_SECTIONS: Mapping[str, type[Settings]] = {
 }
 """Settings of a controller and its primitive."""
 PRIMITIVE_SECTIONS: Mapping[str, type[Settings]] = {
-    **_EVERY,
+    "evolution": EvolutionSettings,
     "networks": NetworkSettings,
     "hierarchy": PrimitiveSettings,
     "estimate": PrimitiveEstimateSettings,
     "transfer": PrimitiveTransferSettings,
 }
 """Settings of a primitive alone."""
-SES_SECTIONS: Mapping[str, type[Settings]] = {**_EVERY, "networks": NetworkSettings}
+SES_SECTIONS: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "networks": NetworkSettings}
 """Settings of one policy without goals."""

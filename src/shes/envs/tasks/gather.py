@@ -6,7 +6,6 @@ Source: specification shes is the SHES authors' HrlMuJoCoEnvs.jl; hiro is rllab'
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar
 
@@ -19,7 +18,6 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
-from shes.errors import ConfigError
 from shes.host_arrays import to_host
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -48,23 +46,6 @@ FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 """Reward of an object of each kind."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class GatherOptions(FallOptions):
-    """Options of Gather."""
-
-    fall_penalty: bool = True
-    """hiro: whether the reward of the step of a fall is -10 instead of that of its pickups. It is part of the return;
-    `fall_price` changes the fitness alone."""
-
-    def check(self) -> None:
-        """Check that `fall_penalty` has an effect."""
-        if self.spec == "shes" and not self.fall_penalty:
-            raise ConfigError(
-                "gather has a penalty for falls only with specification hiro, got fall_penalty False with shes. "
-                "Omit --no-fall-penalty, or set --spec hiro."
-            )
-
-
 class Gather(Task):
     """Eight pieces of food (+1) and eight of poison (-1) lie between walls.
 
@@ -75,8 +56,8 @@ class Gather(Task):
 
     name: ClassVar[str] = "gather"
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
-    Options = GatherOptions
-    options: GatherOptions
+    Options = FallOptions
+    options: FallOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",
         ends="when the robot falls over, by the rule of its body; hiro: also when everything is collected",
@@ -223,7 +204,7 @@ class Gather(Task):
         self._measure()
         reward: F64Array = self.xp.zeros(self.num_episodes)
         collects_nothing = self.sim.diverged
-        if self.options.spec == "hiro" and self.options.fall_penalty:
+        if self.options.spec == "hiro":
             fallen = self.is_down()
             reward = np.where(fallen, HIRO_FALL_REWARD, reward)
             collects_nothing = collects_nothing | fallen

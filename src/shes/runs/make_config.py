@@ -1,0 +1,108 @@
+"""The settings of a run from a preset and the values that were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from shes.algorithms.presets import PRESETS, Preset
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES
+from shes.envs.registry import find_environment
+from shes.envs.tasks.task_options import TaskOptions
+from shes.errors import ConfigError, UnknownNameError
+from shes.runs.config import TrainConfig
+from shes.runs.device import check_asked_device
+from shes.runs.sections import RunSettings, algorithm_of, by_name, check_names, settings_by_section
+from shes.runs.shipped import run_text
+from shes.runs.transfer import brought_settings, transferred_levels
+from shes.settings import Needs, setting_fields
+
+
+def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
+    """Return the settings of `preset` for `env`, with `overrides` by name.
+
+    The time limit of an environment applies to training and evaluation.
+
+    Raises:
+        UnknownNameError: `preset` or `env` is unknown.
+        ConfigError: A setting is unknown, out of range or without effect, or `env` cannot be made.
+        MissingExtraError: `env` needs a package that is not installed.
+    """
+    if not isinstance(preset, str) or preset not in PRESET_NAMES:
+        raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
+    asked = dict(overrides or {})
+    for name in transferred_levels():
+        if isinstance(asked.get(name), Path):
+            asked[name] = run_text(asked[name])
+    identity = {"env": env, "preset": preset}
+    values = {**identity, **preset_values(env, preset, asked), **asked}
+    known = by_name(check_names(values))
+    asked = {name: known[name].checked(value) for name, value in asked.items()}
+    values |= asked
+    for level in algorithm_of(RunSettings.of(values)).transfers:
+        if values.get(level) is not None:
+            checkpoint = values.get(f"{level}_checkpoint", "best")
+            values.update(brought_settings(level, values[level], checkpoint, values, asked))
+    config = TrainConfig.of(**values)
+    check_asked_device(config, asked)
+    _check_effects(config, asked)
+    return config
+
+
+def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that `preset` gives to settings of a run of `env`, by the algorithm in `asked` if it has one.
+
+    Raises:
+        ConfigError: The preset is for other algorithms.
+    """
+    known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
+    default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
+    run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})
+    settings = by_name(settings_by_section(run))
+    if run.algorithm not in known:
+        raise ConfigError(
+            f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
+            f"Set --preset {', '.join(dict.fromkeys((*PRESETS, *algorithm_of(run).presets)))}, or omit --algorithm."
+        )
+    limit = find_environment(env).max_episode_steps
+    limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
+    common, own = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, algorithm_of(run).presets))
+    values = {**common, **own, **limits, "algorithm": run.algorithm}
+    return {name: value for name, value in values.items() if name in settings}
+
+
+def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Raise ConfigError if a setting in `asked` has no effect with the others."""
+    is_ours = not find_environment(config.run.env).has_own_physics
+    for name in asked:
+        setting = config.setting(name)
+        if name in setting_fields(TaskOptions) and not is_ours:
+            raise ConfigError(
+                f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
+                f"Omit {setting.flag}."
+            )
+        if not setting.needs or _is_heeded(config, setting.needs):
+            continue
+        needed = [each for each in setting.needs if each.other in config.values]
+        others = ", ".join(f"{each.other} {config.values[each.other]!r}" for each in needed)
+        fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
+        raise ConfigError(
+            f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or omit {setting.flag}."
+        )
+    config.algorithm.check_effects(config, asked)
+
+
+def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:
+    """Return whether one of `needs` is fulfilled by a setting that has an effect itself."""
+    for need in needs:
+        if need.other not in config.values:
+            continue
+        value, others = config.values[need.other], config.setting(need.other).needs
+        if (value in need.values if need.values else value is not None) and (not others or _is_heeded(config, others)):
+            return True
+    return False
+
+
+def _one_of(values: tuple[str, ...]) -> str:
+    return f" to {' or '.join(values)}" if values else ""

@@ -1,0 +1,188 @@
+"""Live progress of a run in a terminal, or occasional lines elsewhere."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import monotonic
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import Progress
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from shes.console import LineConsole
+from shes.runs.config import TrainConfig
+from shes.runs.listeners import AnyListener
+from shes.runs.tables import Row
+
+_BLOCKS, _ASCII_BLOCKS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
+_LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
+_REMEMBERED = 20  # generations from which the time left is estimated
+
+
+def format_duration(seconds: float) -> str:
+    """Return a duration as text: `45 s`, `3 min 05 s`, `2 h 10 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+@contextmanager
+def drawing_progress(console: Console, name: str = "drawing") -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of the control steps drawn and of their total, which shows the progress in a terminal."""
+    is_silent = not console.is_terminal or console.is_dumb_terminal
+    with Progress(console=console, transient=True, disable=is_silent) as progress:
+        task = progress.add_task(name, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+@contextmanager
+def with_display(listener: AnyListener, progress: bool | None) -> Iterator[AnyListener]:
+    """Yield `listener`, with a progress display if `progress` is True, or None in a terminal or a notebook."""
+    console = LineConsole()
+    if not (console.is_terminal or console.is_jupyter if progress is None else progress):
+        yield listener
+        return
+    with ProgressDisplay(console) as display:
+        yield [display, *(listener if isinstance(listener, list | tuple) else () if listener is None else (listener,))]
+
+
+class ProgressDisplay:
+    """A `Listener` that shows generation, returns of the levels, evaluation score, steps per second and time left."""
+
+    def __init__(self, console: Console) -> None:
+        """Show on `console`; use as a context manager."""
+        self.path: Path | None = None
+        """The run folder, once there is one."""
+        self._console = console
+        self._is_ascii = console.options.ascii_only
+        can_redraw = console.is_terminal and not console.is_dumb_terminal
+        self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
+        self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
+        self._row: Row = {}
+        self._evaluation: Row = {}
+        self._scores: list[float] = []
+        self._events: deque[str] = deque(maxlen=3)
+        self._shares: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)  # (time, share of the run)
+
+    def __enter__(self) -> ProgressDisplay:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
+        """Print the environment, the workers and the run folder."""
+        self.path, self._run = path, config.run
+        self._start = self._last_line = monotonic()
+        workers = f"{num_workers} worker{'s' * (num_workers != 1)}"
+        if config.workers.device != "cpu":
+            workers = f"device {config.workers.device}"
+        elif config.workers.backend == "serial":
+            workers = "this process"
+        elif config.algorithm.shares_memory:
+            workers = f"this process, evaluating on {workers}"
+        after = f" after generation {generation}" if generation else ""
+        name, text = (config.run.env, "bold"), f" ({config.run.preset}) on {workers}{after}. Run folder: "
+        self._print(Text.assemble("Training ", name, text, (str(path), "cyan")))
+
+    def on_generation(self, row: Row) -> None:
+        """Show a generation."""
+        self._row, now = row, monotonic()
+        self._shares.append((now, self._share(now)))
+        is_last = self._run.is_over(row["generation"], row["env_steps"])
+        if self._live is not None:
+            self._live.update(self._view(), refresh=True)
+        elif now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1:
+            self._last_line = now
+            self._print(Text("  ".join(f"{name} {value}" for name, value in self._facts())))
+
+    def on_evaluation(self, row: Row) -> None:
+        """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
+        self._evaluation = row
+        if math.isfinite(row["score_mean"]):  # a task of one's own may have a score of NaN
+            self._scores.append(row["score_mean"])
+        if self._live is not None and self._row:
+            self._live.update(self._view(), refresh=True)
+
+    def on_event(self, event: str) -> None:
+        """Show a warning at once."""
+        self._events.append(event)
+        if self._live is not None:
+            self._live.update(self._view(), refresh=True)
+        else:
+            self._print(Text(event, style="yellow"))
+
+    def _print(self, text: Text) -> None:
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    def _share(self, now: float) -> float:
+        """Return the share of the run that is done, by the limit that is reached first."""
+        shares = [self._row["generation"] / self._run.generations]
+        if self._run.env_steps is not None:
+            shares.append(self._row["env_steps"] / self._run.env_steps)
+        if self._run.minutes is not None:
+            shares.append((now - self._start) / (60 * self._run.minutes))
+        return min(1.0, max(shares))
+
+    def _time_left(self) -> str:
+        """Return the time left, estimated from the last generations, as text."""
+        (begin, before), (end, share) = self._shares[0], self._shares[-1]
+        if share <= before:
+            return "0 s" if share == 1 else "-"
+        return format_duration((1 - share) * (end - begin) / (share - before))
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return the names and values shown."""
+        row, found, score = self._row, self._evaluation, "-"
+        if found:
+            score = f"{found['score_mean']:.2f} {'+/-' if self._is_ascii else '±'} {found['score_std']:.2f}"
+        at_most = " at most" * (self._run.env_steps is not None or self._run.minutes is not None)
+        levels = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
+        returns = {name: (row[f"{name}_return_mean"], row[f"{name}_return_max"]) for name in levels}
+        return [
+            ("generation", f"{row['generation']} / {self._run.generations}{at_most}"),
+            *((f"{name} return", f"{mean:.2f} (best {most:.2f})") for name, (mean, most) in returns.items()),
+            ("evaluation score", score),
+            ("env steps/s", f"{row['env_steps_per_s']:,.0f} ({row['env_steps'] / 1e6:,.1f} M so far)"),
+            ("time left", self._time_left()),
+        ]
+
+    def _view(self) -> Group:
+        """Return the redrawn block; it fits 40 columns and uses up to 100."""
+        events = [Text(event, style="yellow") for event in self._events]
+        if not self._row:  # before the first generation
+            return Group(*events)
+        width = min(self._console.width, 100)
+        table = Table.grid(padding=(0, 2))
+        table.add_column(style="dim", no_wrap=True)
+        table.add_column(no_wrap=True, overflow="ellipsis")
+        for name, value in self._facts():
+            table.add_row(Text(name), Text(value))
+        if len(self._scores) > 1:
+            blocks = _ASCII_BLOCKS if self._is_ascii else _BLOCKS
+            table.add_row("score so far", Text(_sparkline(self._scores, max(10, width - 22), blocks), style="green"))
+        bar = Table.grid()  # ends the line, which the bar alone does not
+        bar.add_row(ProgressBar(total=1000, completed=round(1000 * self._shares[-1][1]), width=width))
+        return Group(bar, table, *events)
+
+
+def _sparkline(values: list[float], width: int, blocks: str) -> str:
+    """Return a line chart of `values` of at most `width` characters, drawn with `blocks` of rising height."""
+    step = -(-len(values) // width)
+    shown = [sum(values[i : i + step]) / len(values[i : i + step]) for i in range(0, len(values), step)]
+    low, high = min(shown), max(shown)
+    scale = (len(blocks) - 1) / (high - low) if high > low else 0
+    return "".join(blocks[round((value - low) * scale)] for value in shown)

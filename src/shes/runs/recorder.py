@@ -1,0 +1,229 @@
+"""The files of a run in training: rows of its tables, checkpoints, the best evaluation, the log.
+
+A generation is on the disk in this order: its rows, the checkpoints `best` and those that are kept, and at last `last`.
+A run killed before that repeats the generation.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from time import perf_counter, process_time
+from typing import Any
+
+from shes.algorithms.contract import Algorithm, Report
+from shes.backends.backend import Backend
+from shes.errors import DivergenceError
+from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
+from shes.runs.config import TrainConfig
+from shes.runs.evaluate import Evaluation, evaluate_state, evaluation_seeds, logger
+from shes.runs.folder import RunFolder
+from shes.runs.listeners import Listeners
+from shes.runs.tables import CsvTable, Row, read_process_time, read_wall_time
+from shes.storage import storage_errors
+
+_MOST_DIVERGED = 10
+"""Generations in a row in which every episode diverges, after which a run ends."""
+
+
+class Divergence:
+    """The diverged generations of a run during one call: from them nothing is learned."""
+
+    def __init__(self, env: str) -> None:
+        self._env, self._in_a_row, self._is_any_sound = env, 0, False
+
+    def add(self, row: Mapping[str, Any]) -> str | None:
+        """Count a generation by its row of `progress.csv`; return a warning if all its episodes diverged."""
+        returns = [value for name, value in row.items() if name.endswith("_return_mean")]
+        has_returns = not returns or any(map(math.isfinite, returns))
+        if has_returns and row.get("diverged_rate") != 1:
+            self._in_a_row, self._is_any_sound = 0, True
+            return None
+        self._in_a_row += 1
+        if not has_returns:
+            return f"no return of generation {row['generation']} is finite: nothing can be learned from it"
+        episodes = f"all {row['diverged_episodes']} episodes" if "diverged_episodes" in row else "every episode"
+        return (
+            f"{episodes} of generation {row['generation']} diverged (physics, observation or reward not finite): "
+            "nothing can be learned from it"
+        )
+
+    def check(self, *, is_over: bool) -> None:
+        """Raise DivergenceError after ten diverged generations in a row, or at the end of a run of nothing else."""
+        count = self._in_a_row
+        if count >= _MOST_DIVERGED or (is_over and count and not self._is_any_sound):
+            raise DivergenceError(
+                f"every episode of the last {count} generation{'s' * (count > 1)} diverged. Likely cause: a reward or "
+                f"an observation of {self._env} is NaN or infinite, or its physics is unstable. Check what its reset "
+                "and step return. Everything up to the last checkpoint is kept."
+            )
+
+
+class Recorder:
+    """Evaluates the generations of a run during one call and writes its files. Close it at the end."""
+
+    def __init__(
+        self, folder: RunFolder, algorithm: Algorithm[Any], checkpoint: Checkpoint, listeners: Listeners
+    ) -> None:
+        """Open the tables and remove the rows after `checkpoint`; raise RunFolderError if a table is damaged."""
+        from shes.runs.tensorboard import Events  # only training needs it, and it is slow to import
+
+        self.folder, self.algorithm, self.checkpoint = folder, algorithm, checkpoint
+        self._config: TrainConfig = algorithm.problem.settings
+        self._listeners, self._is_stopped = listeners, False
+        self._divergence = Divergence(self._config.run.env)
+        self._tables = {
+            "progress": CsvTable(folder.progress, checkpoint.generation, has_every_row=True),
+            "evaluation": CsvTable(folder.evaluation, checkpoint.generation),
+        }
+        self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
+        self._earlier_s = read_wall_time(folder.progress)
+        self._earlier_process_s = read_process_time(folder.progress)
+
+    def close(self) -> None:
+        """Close the event file."""
+        self._events.close()
+
+    def begin(self, backend: Backend, changes: Iterable[str]) -> None:
+        """Start the clock, and tell of the run, of `changes` since it began, and of warnings about its settings."""
+        self._backend = backend
+        self._start = self._generation_start = perf_counter()
+        self._process_start = process_time()
+        backend.on_event = self._tell_event
+        self._tell("on_start", self.folder.path, self._config, self.checkpoint.generation, backend.num_workers)
+        if changes:
+            self._tell_event(f"not as before ({', '.join(changes)}): numbers may differ from here on")
+        for warning in self.algorithm.warnings():
+            self._tell_event(warning)
+
+    def is_over(self) -> bool:
+        """Return whether the run or the time of this call is over, or a listener has ended it."""
+        minutes = self._config.run.minutes
+        is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
+        last = self.checkpoint
+        return self._is_stopped or is_late or self._config.run.is_over(last.generation, last.env_steps)
+
+    def evaluate_if_due(self, report: Report[Any]) -> tuple[Row, Row | None]:
+        """Return the row of a generation, and that of its evaluation if it is due. This writes no file."""
+        state, now = report.state, perf_counter()
+        made = state.env_steps - self.checkpoint.env_steps
+        reached = {"generation": state.generation, "env_steps": state.env_steps}
+        row: Row = {
+            **reached,
+            "wall_time_s": round(self._earlier_s + now - self._start, 3),
+            "env_steps_per_s": round(made / (now - self._generation_start), 1),
+            **report.columns,
+            "evaluation_s": 0.0,
+        }
+        evaluated, evaluation = None, self._config.evaluation
+        if state.generation == 1 or state.generation % evaluation.evaluation_interval == 0:
+            seeds = evaluation_seeds(state.seed, state.generation, evaluation.evaluation_episodes)
+            found: Evaluation = evaluate_state(self.algorithm, state, seeds, self._backend)
+            row["evaluation_s"] = round(perf_counter() - now, 4)
+            wall_time_s = round(self._earlier_s + perf_counter() - self._start, 3)
+            evaluated = {
+                **reached,
+                "wall_time_s": wall_time_s,
+                **found.summary(),
+                "process_time_s": self._process_time(),
+            }
+        row["process_time_s"] = self._process_time()
+        self._generation_start = perf_counter()
+        return row, evaluated
+
+    def add(self, report: Report[Any], row: Row, evaluated: Row | None) -> None:
+        """Write the rows and the checkpoints of a generation, and tell the listeners.
+
+        Raises:
+            DivergenceError: Every episode of the last generations has diverged.
+        """
+        warning = self._divergence.add(row)
+        for event in (*report.log, *([warning] if warning else [])):
+            self._tell_event(event)
+        for name, added in (("progress", row), ("evaluation", evaluated)):
+            if added is not None:
+                self._tables[name].add(added)
+                self._events.add(name, added)
+                self._tables[name].flush()  # a checkpoint on the disk needs the rows before it
+        self._save(report.state, evaluated)
+        self._tell("on_generation", row)
+        if evaluated is not None:
+            self._tell("on_evaluation", evaluated)
+        self._divergence.check(is_over=self.is_over())
+
+    def _save(self, state: Any, evaluated: Row | None) -> None:
+        """Write the checkpoints of a generation; `last` comes last."""
+        checkpoint = replace(self.checkpoint, arrays=self.algorithm.to_arrays(state))
+        is_best = False
+        if evaluated is not None:
+            if evaluated["diverged_episodes"] == evaluated["episodes"]:
+                count = evaluated["episodes"]
+                self._tell_event(f"all {count} episodes of the evaluation diverged: its score does not count")
+            elif checkpoint.best.is_beaten_by(evaluated["score_mean"], evaluated["return_mean"]):
+                score, mean_return = evaluated["score_mean"], evaluated["return_mean"]
+                best = Best(generation=state.generation, score=score, mean_return=mean_return)
+                checkpoint, is_best = replace(checkpoint, best=best), True
+        is_kept = state.generation % self._config.evaluation.keep_checkpoints == 0
+        names = ["best"] * is_best + [str(state.generation)] * is_kept
+        if names:
+            kept = self.algorithm.kept(state)
+            arrays = checkpoint.arrays if kept is state else self.algorithm.to_arrays(kept)
+            for name in names:
+                save_checkpoint(self.folder.checkpoint_path(name), replace(checkpoint, arrays=arrays))
+        save_checkpoint(self.folder.checkpoint_path("last"), checkpoint)
+        self.checkpoint = checkpoint
+
+    def _process_time(self) -> float:
+        """Return the processor time of this process for the run so far, in seconds; without that of its workers."""
+        return round(self._earlier_process_s + process_time() - self._process_start, 3)
+
+    def _tell_event(self, event: str) -> None:
+        logger.warning(event)
+        self._tell("on_event", event)
+
+    def _tell(self, method: str, *content: Any) -> None:
+        """Tell the listeners; one of them may end the run."""
+        if self._listeners.tell(method, *content) and not self._is_stopped:
+            logger.info("a listener ends the run")
+            self._is_stopped = True
+
+
+class _LogFile(logging.FileHandler):
+    """A log file whose errors are ignored: a full disk ends the run when tables or checkpoints are written."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
+        """Drop the record."""
+
+    def close(self) -> None:
+        """Close the file, even if buffered text cannot be written."""
+        with suppress(OSError):
+            super().close()
+
+
+@contextmanager
+def run_log(folder: RunFolder) -> Iterator[None]:
+    """Write the log of the run to its `log.txt` inside the block.
+
+    An error that ends the block is logged with its traceback, which says where in the user's own code it began.
+    """
+    with storage_errors(folder.log):
+        file = _LogFile(folder.log, encoding="utf-8")
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    previous = logger.level, logger.propagate
+    logger.addHandler(file)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    except Exception as error:
+        for line in "".join(traceback.format_exception(error)).splitlines():
+            logger.log(logging.ERROR, "%s", line)
+        raise
+    finally:
+        logger.removeHandler(file)
+        logger.level, logger.propagate = previous
+        file.close()

@@ -1,0 +1,268 @@
+"""Training: runs an algorithm's generator of generations, evaluates, writes files, and handles Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shes.algorithms.contract import Algorithm
+from shes.backends.backend import Backend
+from shes.errors import ConfigError, RunFolderError
+from shes.listing import Listing
+from shes.runs.build import build_algorithm, build_backend, check_device
+from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
+from shes.runs.config import TrainConfig
+from shes.runs.device import check_asked_device, check_limits, most_episodes
+from shes.runs.evaluate import logger
+from shes.runs.folder import RunFolder, differing, new_folder
+from shes.runs.interruption import Interruption, resumable
+from shes.runs.listeners import AnyListener, Listeners
+from shes.runs.make_config import make_config
+from shes.runs.progress_display import with_display
+from shes.runs.recorder import Recorder, run_log
+from shes.runs.sections import execution_settings, known_settings
+from shes.runs.tables import read_csv
+from shes.runs.transfer import check_robot, transfer
+from shes.settings import Setting
+from shes.types import F64Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A finished or stopped run."""
+
+    path: Path
+    """The run folder."""
+    config: TrainConfig = field(repr=False)
+    generation: int
+    """Number of finished generations."""
+    best: Best
+    """The best evaluation."""
+
+    def listing(self) -> Listing:
+        """Return the listing of what it has reached and what can be done next."""
+        best, found = "no evaluation yet", shlex.quote(str(self.path))
+        if self.best.generation >= 0:
+            best = f"best evaluation score {self.best.score:.2f} (generation {self.best.generation})"
+        parts = (
+            f"Done: {self.generation} generation{'s' * (self.generation != 1)}, {best}.",
+            f"Next: shes evaluate {found} · shes render {found} · shes plot {found}",
+        )
+        return Listing({"run": str(self.path), "generation": self.generation, "best_score": self.best.score}, parts)
+
+    def __fspath__(self) -> str:
+        """Return the run folder, so that a run can be given wherever its path can."""
+        return str(self.path)
+
+    @property
+    def progress(self) -> dict[str, F64Array]:
+        """The columns of `progress.csv` by name, a value per generation; empty before the first one."""
+        return _columns(RunFolder(self.path).progress)
+
+    @property
+    def evaluations(self) -> dict[str, F64Array]:
+        """The columns of `evaluation.csv` by name, a value per evaluation; empty before the first one."""
+        return _columns(RunFolder(self.path).evaluation)
+
+
+def _columns(table: Path) -> dict[str, F64Array]:
+    """Return the columns of a table by name; none if it does not exist yet."""
+    return {name: np.array(values) for name, values in read_csv(table).items()} if table.exists() else {}
+
+
+def train(
+    env: str,
+    *,
+    preset: str = "laptop",
+    out: Path | str | None = None,
+    listener: AnyListener = None,
+    progress: bool | None = None,
+    **settings: Any,
+) -> Run:
+    """Train on `env` and return the run.
+
+    Args:
+        env: Environment, e.g. `ant-gather`.
+        preset: `laptop`, `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
+        out: The run folder, which must not hold a run; a new one below `runs/` if none.
+        listener: Receives the progress: a function of a row of `progress.csv`, an object with any of the methods
+            `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by
+            returning True or raising `shes.StopTraining`.
+        progress: Whether to show the progress; only in a terminal or a notebook if None.
+        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
+
+    Raises:
+        ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
+        RunFolderError: `out` already holds a run.
+        StorageError: A file cannot be written. `resume` goes on afterwards, also after the errors below.
+        WorkerError: A worker failed, or workers keep dying.
+        PolicyError: A policy returned NaN.
+        DivergenceError: Every episode of ten generations in a row diverged.
+    """
+    with with_display(listener, progress) as heard:
+        return start_run(make_config(env, preset, settings), out, heard)
+
+
+def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
+    """Begin a run with the settings of `config`; see `train`."""
+    listeners = Listeners(listener)
+    check_device(config)
+    check_robot(config)
+    algorithm = build_algorithm(config)
+    check_limits(config, algorithm.design)
+    algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
+    state, origins = transfer(algorithm, algorithm.start(config.run.seed))
+    if out is not None:
+        RunFolder(_path(out)).check_free()
+    with _started(algorithm) as workers:  # nor does a cluster that does not answer leave a folder
+        folder = RunFolder.create(new_folder(config) if out is None else _path(out))
+        with folder.lock():
+            checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
+            for name in ("0", "best", "last"):
+                save_checkpoint(folder.checkpoint_path(name), checkpoint)
+            # From here on the run can be resumed.
+            folder.record_start(config, origins)
+            with resumable(folder.path), closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder:
+                return _go_on(recorder, state, workers)
+
+
+def _path(out: Path | str) -> Path:
+    """Return `out` as a path; raise ConfigError if it is not one."""
+    if not isinstance(out, str | os.PathLike) or not str(out):
+        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or omit it.")
+    return Path(out)
+
+
+def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | None = None, **settings: Any) -> Run:
+    """Continue the run at `path` from its last checkpoint, as if it had never stopped.
+
+    Args:
+        path: The run folder.
+        listener: Receives the progress, as in `train`.
+        progress: Whether to show the progress; only in a terminal or a notebook if None.
+        settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
+
+    Raises:
+        CheckpointError: The last checkpoint is damaged or from another run.
+        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
+    """
+    with with_display(listener, progress) as heard:
+        return resume_run(path, heard, **settings)
+
+
+def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) -> Run:
+    """Continue the run at `path`; see `resume`."""
+    listeners = Listeners(listener)
+    folder = RunFolder.open(path)
+    check_resumable(settings)
+    config = folder.read_config().having(**{"minutes": None, **settings})
+    check_asked_device(config, settings)
+    check_device(config)
+    with folder.lock(), resumable(folder.path):
+        algorithm = build_algorithm(config)
+        check_limits(config, algorithm.design)
+        checkpoint = folder.load("last", algorithm.check_headers)
+        _check_unfinished(path, config, checkpoint)
+        state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
+        checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
+        with closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder, _started(algorithm) as workers:
+            changes = folder.record_resume(checkpoint.generation, config)
+            return _go_on(recorder, state, workers, changes)
+
+
+def _check_unfinished(path: Path | str, config: TrainConfig, checkpoint: Checkpoint) -> None:
+    """Raise ConfigError if the run is over."""
+    done, steps = checkpoint.generation, checkpoint.env_steps
+    if not config.run.is_over(done, steps):
+        return
+    is_long = done >= config.run.generations
+    made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
+    limit = "--generations" if is_long else "--env-steps"
+    raise ConfigError(
+        f"the run has made {made} {'generations' if is_long else 'environment steps'}, but {limit} is {end}. "
+        f"To go on: shes resume {shlex.quote(str(path))} {limit} {2 * made}"
+    )
+
+
+def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
+    """Train the run at `path` to its end: from its last checkpoint, or from the start if there is no run yet.
+
+    Execution settings of `config` may differ from those of the run so far; raise RunFolderError if others do.
+    """
+    folder = RunFolder(path)
+    if not folder.config.is_file():
+        return start_run(config, path, listener)
+    stored = folder.read_config()
+    if others := differing(stored.numbers(), config.numbers()):
+        raise RunFolderError(
+            f"{path} holds a run of other settings: {others}. Choose another folder with --out, or remove this one to "
+            "have it made anew."
+        )
+    last = folder.load("last")
+    if config.run.is_over(last.generation, last.env_steps):
+        return Run(path=path, config=stored, generation=last.generation, best=last.best)
+    now = {name: config.values[name] for name in resumable_settings()}
+    changed = {name: value for name, value in now.items() if value != stored.values[name]}
+    return resume_run(path, listener, **{**changed, "minutes": config.run.minutes})
+
+
+def resumable_settings() -> dict[str, Setting]:
+    """Return the settings that `resume` takes, by name."""
+    return {name: each for name, each in execution_settings().items() if name != "preset"}
+
+
+def check_resumable(names: Iterable[str]) -> None:
+    """Raise ConfigError unless `resume` takes the settings called `names`."""
+    resumable, known = resumable_settings(), known_settings()
+    allowed = ", ".join(sorted(each.flag for each in resumable.values()))
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
+        if name not in resumable:
+            raise ConfigError(
+                f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
+                "Start another run to change it."
+            )
+
+
+@contextmanager
+def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, Interruption]]:
+    """Yield the started backend of the run, with Ctrl-C and SIGTERM delayed."""
+    config: TrainConfig = algorithm.problem.settings
+    with (
+        Interruption() as interruption,
+        build_backend(config, algorithm.plan(), most_episodes(config)) as backend,
+    ):
+        yield backend, interruption
+
+
+def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, Interruption], changes: Iterable[str] = ()) -> Run:
+    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C, which it raises.
+
+    `changes` are those since the run began that may change numbers.
+    """
+    folder, algorithm = recorder.folder, recorder.algorithm
+    config: TrainConfig = algorithm.problem.settings
+    backend, interruption = workers
+    with run_log(folder), closing(algorithm.run(state, backend)) as generations:
+        on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
+        logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
+        recorder.begin(backend, changes)
+        while not recorder.is_over() and not interruption.is_requested:
+            logger.info("generation %d begins", recorder.checkpoint.generation + 1)
+            with interruption.at_once():
+                report = next(generations)
+                rows = recorder.evaluate_if_due(report)
+            recorder.add(report, *rows)
+            logger.info("generation %d ends", report.state.generation)
+    if interruption.is_requested and not recorder.is_over():
+        raise KeyboardInterrupt
+    last = recorder.checkpoint
+    return Run(path=folder.path, config=config, generation=last.generation, best=last.best)

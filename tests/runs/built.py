@@ -1,0 +1,41 @@
+"""Parts built from the settings of a run, for tests."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from shes.algorithms.evolution.estimates import Hyperparameters
+from shes.algorithms.worker import WorkerPlan
+from shes.hierarchy.agent import AgentDesign
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
+
+INTERVALS = {
+    "primitive_estimate": "interval",
+    "primitive_view": "egocentric",
+    "population_size": 8,
+    "sigma": 0.2,
+    "learning_rate": 0.04,
+    "horizon": 70,
+}
+
+
+@dataclass(frozen=True)
+class Built:
+    """The agents' design, the hyperparameters and the workers' plan of a run."""
+
+    design: AgentDesign
+    settings: Hyperparameters
+    plan: WorkerPlan
+
+    @classmethod
+    def of(cls, env, **settings):
+        made = build_algorithm(make_config(env, "smoke", settings))
+        return cls(made.design, made.hyperparameters, made.plan())
+
+    @property
+    def intervals(self) -> Any:
+        return self.settings.intervals
+
+    @property
+    def rules(self):
+        return self.settings.updates

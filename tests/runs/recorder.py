@@ -1,0 +1,175 @@
+"""A recorder of what a run does: the rollouts of its worker, its updates, its simulators.
+
+Tests compare these with the settings of the run. The serial backend is recorded; worker processes are not.
+"""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from shes.algorithms import worker
+from shes.algorithms.evolution import way_search
+from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule, update_level
+from shes.es.noise import NoiseTable
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
+from shes.hierarchy.exploration import Exploration
+from shes.hierarchy.rollout import Rollout
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.evaluate import Evaluation, evaluate_state
+from shes.runs.make_config import make_config
+from shes.sim.cpu import CpuSimulator
+
+__all__ = ["Record", "RolledOut", "Update", "record_generations", "recording"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolledOut:
+    """Tasks that a worker ran, and their results."""
+
+    rollout: Rollout
+    generation: Generation
+    table: NoiseTable
+    tasks: list[EpisodeTask]
+    results: list[EpisodeResults] = field(default_factory=list)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the longest episode."""
+        return max(int(each.steps.max()) for each in self.results)
+
+    @property
+    def num_members(self) -> int:
+        """Number of members."""
+        return sum(len(task.signs) for task in self.tasks)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Update:
+    """Arguments and result of one update of a level."""
+
+    before: LevelState
+    shaped: np.ndarray
+    rule: UpdateRule
+    learning_rate: float
+    result: LevelUpdate
+
+
+@dataclass(kw_only=True)
+class Record:
+    """Rollouts, updates and simulators of a run."""
+
+    rolled_out: list[RolledOut] = field(default_factory=list)
+    updates: list[Update] = field(default_factory=list)
+    noises: set[str] = field(default_factory=set)
+    """Names of the exploration noises."""
+    device_simulators: list[dict[str, Any]] = field(default_factory=list)
+    """Arguments of every simulator on a device."""
+    backend: str = ""
+    num_processes: int = 0
+    limits: dict[str, float | None] = field(default_factory=dict)
+    """Seconds after which worker processes that give no answer are told of, and replaced."""
+    algorithm: Any = None
+    state: Any = None
+    """The state after the last generation."""
+    evaluation: Evaluation | None = None
+
+    def of(self, kind: str) -> list[RolledOut]:
+        """Return the rollouts of `training`, `branch` or `evaluation`."""
+        return [each for each in self.rolled_out if each.generation.kind == kind]
+
+    def seeds(self, kind: str) -> set[int]:
+        """Return the seeds of the episodes of a kind."""
+        return {seed for each in self.of(kind) for task in each.tasks for seed in task.seeds}
+
+
+def _noted(work: Iterable[Any], tasks: list[EpisodeTask]) -> Iterator[Any]:
+    """Yield `work`, and note its tasks as they are taken; None is no task."""
+    for numbered in work:
+        if numbered is not None:
+            tasks.append(numbered[1])
+        yield numbered
+
+
+@contextmanager
+def recording() -> Iterator[Record]:
+    """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
+    record, of_step = Record(), Exploration.of_step
+
+    class RecordedRollout(Rollout):
+        def run(self, work: Iterable[Any], generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
+            own = RolledOut(rollout=self, generation=generation, table=table, tasks=[])
+            record.rolled_out.append(own)
+            for number, results in super().run(_noted(work, own.tasks), generation, table):
+                own.results.append(results)
+                yield number, results
+
+    class DeviceSimulator(CpuSimulator):
+        def __init__(self, model: Any, num_sims: int, **arguments: Any) -> None:
+            super().__init__(model, num_sims)
+            record.device_simulators.append(arguments)
+
+    class Device:
+        def __init__(self, name: str) -> None:
+            self.xp = np
+
+        def release_memory(self) -> None:
+            """Do nothing."""
+
+        def free_bytes(self) -> None:
+            """Return None: unknown."""
+
+    def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
+        result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)
+        own = Update(before=level, shaped=shaped, rule=rule, learning_rate=learning_rate, result=result)
+        record.updates.append(own)
+        return result
+
+    def record_noise(exploration):
+        noises = of_step(exploration)
+        record.noises.update(noises)
+        return noises
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("shes.runs.sections.num_cores", lambda: 1)
+        patch.setattr("shes.backends.backend.num_cores", lambda: 1)
+        patch.setattr(worker, "Rollout", RecordedRollout)
+        patch.setattr(worker, "WarpSimulator", DeviceSimulator)
+        patch.setattr(worker, "WarpDevice", Device)
+        patch.setattr("shes.algorithms.problem.WarpDevice", Device)
+        patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
+        patch.setattr("shes.algorithms.evolution.algorithm.update_level", record_update)
+        patch.setattr(Exploration, "of_step", record_noise)
+        yield record
+
+
+def record_generations(env: str, settings: dict[str, Any], generations: tuple[int, ...] = (0,)) -> Record:
+    """Return the record of `generations` and an evaluation of a run with the preset `smoke` and these settings.
+
+    Each generation begins with the parameters of the start. The last few records are cached: reset their tasks before
+    use, and change nothing else.
+    """
+    return _record(env, tuple(sorted(settings.items())), generations)
+
+
+@lru_cache(maxsize=24)
+def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[int, ...]) -> Record:
+    config = make_config(env, "smoke", {"backend": "serial", **dict(settings)})
+    with recording() as record:
+        record.algorithm = algorithm = build_algorithm(config)
+        start: TrainState = algorithm.start(config.run.seed)
+        others = psutil.Process().children()
+        with build_backend(config, algorithm.plan()) as backend:
+            record.backend = type(backend).__name__
+            names = ("worker_timeout_s",)
+            record.limits = {name: getattr(backend, name) for name in names if hasattr(backend, name)}
+            record.num_processes = len(set(psutil.Process().children()) - set(others))
+            for generation in generations:
+                record.state = next(algorithm.run(replace(start, generation=generation), backend)).state
+            record.evaluation = evaluate_state(algorithm, record.state, range(16), backend)
+    return record

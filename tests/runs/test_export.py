@@ -1,0 +1,312 @@
+"""Exported agents act as ours: by NumPy bit-identically, by ONNX to float32 rounding."""
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import shes
+from shes.cli import main
+from shes.envs.gymnasium_ids import gymnasium_id
+from shes.errors import CheckpointError, ConfigError, MissingExtraError, RunFolderError, StorageError, UnknownNameError
+from shes.runs.export import FORMATS
+from tests.e2e import runs
+
+_SPEC = importlib.util.spec_from_file_location(
+    "run_exported", Path(__file__).parents[2] / "examples" / "run_exported.py"
+)
+run_exported = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(run_exported)
+
+EGOCENTRIC = {"primitive_view": "egocentric", "goal_encoding": "angle_metres"}
+KINDS = {
+    "flat": ("point-gather", {"algorithm": "es"}),
+    "flat with a clock": ("ant-maze", {"algorithm": "es", "clock_frequency": 0.8}),
+    "primitive": ("point-flagrun", {"controller_interval": 7, "goal_encoding": "unit_vector"}),
+    "primitive with symmetry": (
+        "ant-flagrun",
+        {**EGOCENTRIC, "symmetry": "dihedral", "clock_frequency": 1.6, "controller_interval": 7},
+    ),
+    "two levels": ("point-gather", {"minimum_goal_distance": True, "goal_distance": 1.5}),
+    "ant with two levels": ("ant-gather", {"goal_encoding": "angle", "controller_interval": 5}),
+    "one-hot controller": (
+        "ant-maze",
+        {"controller_output": "one_hot", "primitive_view": "proprioception", "minimum_goal_distance": False},
+    ),
+    "egocentric points": ("point-fall", {**EGOCENTRIC, "controller_view": "egocentric", "goal_encoding": "vector"}),
+    "sectors": ("ant-gather", {"controller_view": "sectors", "controller_output": "heading_vector"}),
+    "equivariant": (
+        "ant-gather",
+        {"controller_network": "equivariant", "controller_view": "sectors", "controller_output": "heading_direction"},
+    ),
+    "position": ("point-push", {"controller_view": "position", "controller_output": "direction"}),
+    "rotations": (
+        "ant-push",
+        {**EGOCENTRIC, "symmetry": "rotation", "controller_view": "egocentric", "controller_output": "heading_vector"},
+    ),
+}
+SECONDS = {"ant with two levels", "flat with a clock", "one-hot controller"}
+"""Kinds whose parts others have, too."""
+STEPS = 60
+
+
+def marked(kind):
+    return pytest.param(kind, marks=[pytest.mark.extras] if kind in SECONDS else [])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Return a function that returns the folder of a tiny run of one of `KINDS`."""
+    made = {}
+
+    def make(kind):
+        if kind not in made:
+            env, settings = KINDS[kind]
+            path = tmp_path_factory.mktemp("exported") / "run"
+            settings = {"output_weights": "glorot_normal", "population_size": 4, "horizon": 40, **settings}
+            made[kind] = runs.train_tiny(path, env, generations=1, evaluation_interval=1, **settings)
+        return made[kind]
+
+    return make
+
+
+def episode(path):
+    """Yield the observation, the action and the goal of every step of our agent in an episode of its environment."""
+    agent = shes.load(path)
+    env = gymnasium.make(gymnasium_id(agent.config.run.env, agent.config.environment.spec), max_episode_steps=STEPS + 1)
+    observation, _ = env.reset(seed=3)
+    for _ in range(STEPS):
+        action = agent.act(observation)
+        yield observation, action, None if agent.goal is None else agent.goal[0]
+        observation = env.step(action)[0]
+    env.close()
+
+
+@pytest.mark.parametrize("kind", [marked(kind) for kind in KINDS])
+def test_numpy_alone_acts_as_our_agent_to_the_bit(trained, tmp_path, kind):
+    path = trained(kind)
+    (file,) = shes.export(path, tmp_path / "policy.npz")
+    exported, actions = run_exported.ExportedAgent(file), []
+    for observation, action, goal in episode(path):
+        given = {} if "controller" in exported.spec else {"goal": goal}
+        np.testing.assert_array_equal(exported.act(observation, **given), action)
+        actions.append(action)
+    assert len(np.unique(actions, axis=0)) > STEPS / 2  # the episode proves something
+
+
+def test_a_shipped_agent_is_exported_by_its_name_and_acts_anew_after_a_reset(tmp_path):
+    (file,) = shes.export("ant-gather", tmp_path / "policy.npz")
+    exported, steps = run_exported.ExportedAgent(file), list(episode("ant-gather"))
+    for _ in range(2):
+        exported.reset()
+        for observation, action, _ in steps:
+            np.testing.assert_array_equal(exported.act(observation), action)
+
+
+SHOWN = {
+    "goal_distance": ({"goal_distance": 2.5}, lambda spec: spec["controller"]["goal_distance_m"], 2.5, 4.0),
+    "minimum": ({"minimum_goal_distance": False}, lambda spec: spec["controller"]["min_component_m"], 0.0, 0.5**0.5),
+    "output": ({"controller_output": "one_hot"}, lambda spec: spec["controller"]["output"], "one_hot", "vector"),
+    "view": (
+        {"controller_view": "egocentric"},
+        lambda spec: spec["controller"]["view"]["kind"],
+        "egocentric",
+        "columns",
+    ),
+    "interval": ({"controller_interval": 9}, lambda spec: spec["controller_interval"], 9, 25),
+    "encoding": ({"goal_encoding": "vector"}, lambda spec: spec["primitive"]["goal_encoding"], "vector", "angle"),
+    "clock": ({"clock_frequency": 0.7}, lambda spec: spec["clock"], [{"frequency_hz": 0.7, "step_s": 0.1}], []),
+    "layers": ({"primitive_hidden": ()}, lambda spec: spec["num_layers"], {"controller": 2, "primitive": 1}, None),
+}
+
+
+@pytest.fixture(scope="module")
+def specs(tmp_path_factory):
+    """Return a function that returns the description of an exported run with these settings."""
+    made = {}
+
+    def describe(settings):
+        key = json.dumps(settings)
+        if key not in made:
+            folder = tmp_path_factory.mktemp("specs")
+            path = runs.train_tiny(folder / "run", generations=1, population_size=4, **settings)
+            with np.load(shes.export(path, folder / "policy.npz")[0]) as arrays:
+                made[key] = json.loads(str(arrays["description"]))
+        return made[key]
+
+    return describe
+
+
+@pytest.mark.parametrize("case", SHOWN)
+def test_a_setting_of_the_agent_is_in_its_description(specs, case):
+    settings, read, expected, usual = SHOWN[case]
+    assert read(specs(settings)) == expected
+    assert usual is None or read(specs({})) == usual
+
+
+def test_the_file_holds_no_python_objects_and_says_what_it_is(trained, tmp_path):
+    (file,) = shes.export(trained("two levels"), tmp_path / "policy.npz", checkpoint="last")
+    with np.load(file, allow_pickle=False) as arrays:
+        spec = json.loads(str(arrays["description"]))
+        shapes = {name: arrays[name].shape for name in arrays.files if name.startswith("controller/")}
+    assert (spec["env"], spec["levels"], spec["generation"]) == ("point-gather", ["controller", "primitive"], 1)
+    size = len(spec["observation"])
+    assert shapes == {
+        "controller/mean": (size,),
+        "controller/inverse_std": (size,),
+        "controller/weights_0": (size, 4),
+        "controller/biases_0": (4,),
+        "controller/weights_1": (4, 2),
+        "controller/biases_1": (2,),
+    }
+
+
+def test_checkpoints_are_exported_each_for_itself(trained, tmp_path):
+    first, last = (shes.export(trained("flat"), tmp_path / f"{name}.npz", checkpoint=name)[0] for name in ("0", "last"))
+    with np.load(first) as one, np.load(last) as other:
+        assert not np.array_equal(one["policy/weights_0"], other["policy/weights_0"])
+
+
+@pytest.mark.parametrize(("env_id", "kind"), [("CartPole-v1", "discrete"), ("Pendulum-v1", "box")])
+def test_the_actions_of_external_environments_are_described(tmp_path, env_id, kind):
+    path = runs.train_tiny(tmp_path / "run", f"gymnasium:{env_id}", algorithm="es", generations=1)
+    (file,) = shes.export(path, tmp_path / "policy.npz")
+    exported, ours = run_exported.ExportedAgent(file), shes.load(path)
+    action = exported.spec["action"]
+    assert action["kind"] == kind
+    for seed in range(5):
+        observation, _ = gymnasium.make(env_id).reset(seed=seed)
+        control = exported.act(observation)
+        if kind == "discrete":
+            assert ours.act(observation) == action["start"] + control.argmax()
+        else:
+            low, high = np.array(action["low"]), np.array(action["high"])
+            scaled = (low + high) / 2 + control * ((high - low) / 2)
+            np.testing.assert_array_equal(scaled.astype(action["dtype"]), ours.act(observation))
+
+
+REFUSED = [
+    ({"out": "walk.onnx"}, ConfigError, r"format npz ends with \.npz, got .*walk\.onnx.*Set --out or --format"),
+    ({"format": "onx"}, UnknownNameError, r"unknown format 'onx'. Did you mean 'onnx'\? Known: onnx, npz"),
+    ({"run": "gone"}, RunFolderError, "does not exist"),
+    ({"checkpoint": "99"}, CheckpointError, "there is no checkpoint"),
+    ({"out": "gone/policy.npz"}, StorageError, "there is no such folder"),
+    ({"out": "folder.npz"}, StorageError, r"cannot write .*folder\.npz"),
+    ({"format": "onnx", "out": "policy.onnx"}, MissingExtraError, r"pip install 'shes\[onnx\]'"),
+]
+
+
+@pytest.mark.parametrize(("given", "error", "message"), REFUSED)
+def test_what_cannot_be_exported_is_refused_and_nothing_is_written(
+    trained, tmp_path, monkeypatch, given, error, message
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    Path("folder.npz").mkdir()
+    with pytest.raises(error, match=message):
+        shes.export(**{"run": trained("flat"), "out": "policy.npz", **given})
+    assert [path.name for path in Path().iterdir()] == ["folder.npz"]
+
+
+@pytest.mark.parametrize("name", ["best", "other"])
+def test_no_checkpoint_is_written_over(trained, name):
+    file = trained("flat") / "checkpoints" / f"{name}.npz"
+    with pytest.raises(ConfigError, match=r"would be among the checkpoints of a run.*Set --out"):
+        shes.export(trained("flat"), file)
+    assert file.exists() == (name == "best")
+
+
+def test_an_external_robot_is_told_its_pose(tmp_path):
+    shes.register_external("exported-point", PointMass, locate=located)
+    path = runs.train_tiny(tmp_path / "run", "exported-point", generations=1, goal_encoding="angle")
+    (file,) = shes.export(path, tmp_path / "policy.npz")
+    exported, ours, env = run_exported.ExportedAgent(file), shes.load(path), PointMass()
+    assert exported.spec["pose"] is None
+    observation, info = env.reset(seed=1)
+    for _ in range(STEPS):
+        action = ours.act(observation, info)
+        flat = gymnasium.spaces.flatten(env.observation_space, observation)
+        np.testing.assert_array_equal(exported.act(flat, pose=located(flat, info)), action)
+        observation, _, _, _, info = env.step(action)
+
+
+def located(observation, info):
+    """Return x, y and heading of a `PointMass`."""
+    return (*observation[:2], 0.5)
+
+
+class PointMass(gymnasium.Env):
+    """A point that moves by its action."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,))
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = self.np_random.standard_normal(3)
+        return self.state.copy(), {}
+
+    def step(self, action):
+        self.state[:2] += 0.1 * action
+        return self.state.copy(), 0.0, False, False, {}
+
+
+def test_the_command_prints_the_files(trained, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(trained("flat"))]) == 0
+    assert capsys.readouterr().out == "Policy: policy.npz\n"
+    assert main(["export", str(trained("flat")), "--format", "onnx", "--out", "a.npz"]) == 2
+    assert "format onnx ends with .onnx, got 'a.npz'" in " ".join(capsys.readouterr().err.split())
+    assert set(FORMATS) == {"npz", "onnx"}
+
+
+# ONNX.
+
+
+class OnnxAgent(run_exported.ExportedAgent):
+    """The same agent whose networks are ONNX graphs, run by onnx's reference evaluator."""
+
+    def __init__(self, paths):
+        import onnx
+        from onnx.reference import ReferenceEvaluator
+
+        models = [onnx.load(path) for path in paths]
+        self.graphs = {model.graph.name: ReferenceEvaluator(model) for model in models}
+        self.spec = json.loads({each.key: each.value for each in models[0].metadata_props}["description"])
+        self.reset()
+
+    def network(self, level, inputs):
+        (output,) = self.graphs[level].run(None, {"observation": np.array([inputs])})
+        assert output.dtype == np.float32
+        return output[0]
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("kind", ["flat", "flat with a clock", "primitive with symmetry", "two levels", "rotations"])
+def test_onnx_graphs_act_as_our_agent_to_float32_rounding(trained, tmp_path, kind):
+    pytest.importorskip("onnx")
+    path = trained(kind)
+    files = shes.export(path, tmp_path / "policy.onnx", format="onnx")
+    exported = OnnxAgent(files)
+    assert len(files) == len(exported.spec["levels"])
+    assert {file.name for file in files} <= {"policy.onnx", "policy-controller.onnx", "policy-primitive.onnx"}
+    for observation, action, goal in episode(path):
+        given = {} if "controller" in exported.spec else {"goal": goal}
+        np.testing.assert_allclose(exported.act(observation, **given), action, atol=2e-6)
+
+
+@pytest.mark.extras
+def test_the_graph_of_a_flat_policy_is_the_agent_in_a_batch(trained, tmp_path):
+    onnx = pytest.importorskip("onnx")
+    from onnx.reference import ReferenceEvaluator
+
+    (file,) = shes.export(trained("flat"), tmp_path / "policy.onnx", format="onnx")
+    steps = list(episode(trained("flat")))
+    (actions,) = ReferenceEvaluator(onnx.load(file)).run(
+        None, {"observation": np.array([seen for seen, _, _ in steps])}
+    )
+    np.testing.assert_allclose(actions, [action for _, action, _ in steps], atol=2e-6)

@@ -1,0 +1,223 @@
+"""Presets: what they start from, by numbers written down by hand."""
+
+import pytest
+
+from shes.algorithms.registry import PRESET_NAMES
+from shes.envs.registry import ENVIRONMENTS
+from shes.errors import ConfigError, UnknownNameError
+from shes.runs.build import build_options
+from shes.runs.make_config import make_config
+
+PAPER = {
+    # SHES paper, Table I.
+    "population_size": 1000,
+    "episodes_per_policy": 5,
+    "horizon": 500,
+    "controller_interval": 25,
+    "goal_distance": 4.0,
+    "learning_rate": 0.01,
+    "sigma_end": None,
+    "learning_rate_end": None,
+    "sigma": 0.02,
+    "generations": 3000,
+    # Where Table I is silent: the authors' code (docs/differences.md).
+    "hidden": (256, 256, 256),
+    "biases": "glorot_normal",
+    "weight_decay": 0.005,
+    "mirrored": "quad",
+    "rank_ties": "index",
+    "common_random_numbers": "off",
+    "statistics_fraction": 0.01,
+    "minimum_goal_distance": True,
+    "goal_encoding": "angle",
+    "controller_output": "vector",
+    "perturbation": "many_to_many",
+    "fitness_shaping": "centred_rank",
+    "optimizer": "adam",
+    "primitive_reward": "progress",
+    # What makes the ant learn in the other presets is not the paper's (docs/learning.md).
+    "primitive_view": "observation",
+    "controller_view": "observation",
+    "symmetry": "none",
+    "clock_frequency": None,
+    "primitive_estimate": "episode",
+    "output_weights": "glorot_normal",
+    "max_tilt": None,
+    "waypoints": None,
+    "explore": "none",
+    "freeze_primitive": True,
+    "reset_noise": 0.0,
+    "evaluation_episodes": 10,
+    "noise_table_size": 250_000_000,
+}
+
+
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+@pytest.mark.parametrize("name", PAPER)
+def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
+    is_pretraining = (name, env) in (("population_size", "ant-flagrun"), ("population_size", "point-flagrun"))
+    assert make_config(env, "paper").values.get(name, PAPER[name]) == (256 if is_pretraining else PAPER[name])
+
+
+def test_the_paper_preset_evaluates_as_it_trains():
+    config = make_config("ant-gather", "paper")
+    assert config.evaluation_steps == 500
+    for is_evaluation, noise in ((False, 0.0), (True, 0.1)):
+        options = build_options(config, is_evaluation=is_evaluation)
+        assert (options.integrator, options.reset_noise) == ("euler", noise)
+
+
+@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+def test_every_preset_suits_every_environment(env, preset):
+    if "hiro" in preset and "flagrun" in env:
+        with pytest.raises(ConfigError, match=f"{env} sets the goals, so the controller of hiro has nothing to learn"):
+            make_config(env, preset)
+        return
+    config = make_config(env, preset)
+    assert (config.run.env, config.run.preset) == (env, preset)
+
+
+@pytest.mark.parametrize(
+    ("preset", "algorithm", "message"),
+    [
+        ("paper", "hiro", r"for algorithm shes or es, got algorithm 'hiro'\. Set --preset laptop, smoke, hiro-paper, "),
+        ("hiro-paper", "es", r"for algorithm hiro or td3, got algorithm 'es'\. Set --preset"),
+    ],
+)
+def test_a_preset_is_for_the_algorithms_that_have_it(preset, algorithm, message):
+    with pytest.raises(ConfigError, match=rf"preset '{preset}' is {message}"):
+        make_config("ant-maze", preset, {"algorithm": algorithm})
+
+
+def test_a_preset_of_hiro_brings_its_algorithm():
+    assert make_config("ant-maze", "hiro-paper").run.algorithm == "hiro"
+    assert make_config("ant-maze", "hiro-paper", {"algorithm": "td3"}).learner.hidden == (300, 300)
+
+
+def test_the_presets_of_hiro_have_the_published_numbers():
+    config = make_config("ant-maze", "hiro-paper")
+    learner, goals = config.learner, config.goals
+    assert (learner.hidden, learner.batch_size, learner.replay_size) == ((300, 300), 100, 200_000)
+    assert (learner.actor_learning_rate, learner.critic_learning_rate) == (1e-4, 1e-3)
+    assert (learner.discount, learner.target_rate, learner.policy_delay) == (0.99, 0.005, 2)
+    assert (learner.exploration_noise, goals.goal_noise, learner.noise_unit) == (1.0, 1.0, "raw")
+    assert (goals.controller_interval, goals.goal_distance, learner.reward_scale) == (10, 10.0, 0.1)
+    assert (config.environment.spec, config.episodes.horizon, config.run.env_steps) == ("hiro", 500, 10_000_000)
+    assert (learner.normalise_inputs, learner.bootstrap_terminal) == (False, False)
+    assert (learner.update_interval, goals.controller_update_interval, learner.warmup_steps) == (1, 10, 2500)
+    assert learner.generation_steps * config.evaluation.evaluation_interval == 50_000
+    assert config.evaluation.evaluation_episodes == 50
+    assert make_config("point-maze", "hiro-paper").learner.exploration_noise == 0.1
+    table = make_config("ant-maze", "hiro-table1")
+    assert (table.learner.actor_learning_rate, table.environment.spec) == (0.001, "shes")
+    assert table.learner.normalise_inputs  # the target in that observation is 100 times smaller than the position
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("preset", ["hiro-paper", "hiro-table1"])
+def test_the_presets_of_hiro_fit_a_small_maze(preset):
+    pytest.importorskip("gymnasium_robotics")
+    config = make_config("robotics-point-maze", preset)
+    assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
+
+
+def test_the_presets_are_those_of_the_design():
+    assert set(PRESET_NAMES) == {"paper", "laptop", "smoke", "hiro-paper", "hiro-table1"}
+
+
+def test_the_smoke_preset_is_small():
+    config = make_config("ant-gather", "smoke")
+    steps = (
+        config.run.generations
+        * config.evolution.population_size
+        * config.evolution.episodes_per_policy
+        * config.episodes.horizon
+    )
+    assert steps <= 10_000
+    assert config.evolution.noise_table_size <= 1_000_000
+
+
+def test_overrides_win_over_the_preset():
+    config = make_config("point-gather", "paper", {"sigma": 0.5, "hidden": [8]})
+    assert (config.evolution.sigma, config.networks.hidden, config.evolution.population_size) == (0.5, (8,), 1000)
+    assert make_config("point-gather", "smoke", {"hidden": 8}).networks.hidden == (8,)
+
+
+def test_wrong_names_are_refused():
+    with pytest.raises(UnknownNameError, match=r"unknown preset 'papper'\. Did you mean 'paper'\?.*Set --preset"):
+        make_config("ant-gather", "papper")
+    with pytest.raises(ConfigError, match=r"unknown setting 'lerning_rate'\. Did you mean 'learning_rate'\?"):
+        make_config("ant-gather", "smoke", {"lerning_rate": 1})
+
+
+OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
+IDLE = {
+    # A setting that has no effect: the environment, all settings, the message, what helps.
+    "rank_ties": (
+        "point-gather", {"fitness_shaping": "pair_rank", "mirrored": "pair", "rank_ties": "index"},
+        "rank_ties has no effect with fitness_shaping 'pair_rank', got 'index'. Set --fitness-shaping to centred_rank",
+        {"fitness_shaping": "centred_rank"},
+    ),
+    "schedule_generations": (
+        "point-gather", {"schedule_generations": 50},
+        "schedule_generations has no effect with sigma_end None, learning_rate_end None, got 50.*omit --schedule-gen",
+        {"sigma_end": 0.01},
+    ),
+    "freeze_primitive": (
+        "ant-gather", {"freeze_primitive": False},
+        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive",
+        {"primitive": "ant-walker"},
+    ),
+    "explore_horizon": (
+        "ant-maze", {"explore": "none", "explore_horizon": 900},
+        "explore_horizon has no effect with explore 'none', got 900", {"explore": "archive"},
+    ),
+    **{
+        name: ("ant-flagrun", {name: value}, rf"{name} .* {OF_INTERVALS}", {"primitive_estimate": "episode"})
+        for name, value in {
+            "fitness_shaping": "centred_rank", "mirrored": "none", "episodes_per_policy": 5,
+            "common_random_numbers": "off", "statistics_fraction": 0.0,
+        }.items()
+    },
+    "perturbation": (
+        "ant-gather", {"perturbation": "one_to_many"},
+        "needs two levels evaluated by whole episodes; in this run only the controller is; got 'one_to_many'",
+        {"primitive_estimate": "episode"},
+    ),
+    "perturbation with a frozen level": (
+        "ant-gather", {"perturbation": "one_to_many", "primitive": "ant-walker"},
+        "--perturbation needs two learning levels; in this run only the controller learns", None,
+    ),
+    **{
+        name: (
+            "ant-gather", {"primitive": "ant-walker", name: value},
+            f"{name} has no effect on a frozen primitive; got {value}", {"freeze_primitive": False},
+        )
+        for name, value in {
+            "intervals": 5, "fall_price": 0.0, "primitive_sigma": 0.3, "primitive_population_size": 6,
+        }.items()
+    },
+    **{
+        name: (
+            "gymnasium:shes/PointMaze-v0", {name: value}, f"{name} has no effect on gymnasium:.* its own physics", None,
+        )
+        for name, value in {"reset_noise": 0.0, "spec": "shes"}.items()
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", IDLE)
+def test_a_setting_without_effect_is_refused_with_what_helps(case):
+    env, settings, message, helps = IDLE[case]
+    with pytest.raises(ConfigError, match=message):
+        make_config(env, "laptop", settings)
+    if helps is not None:
+        helped = {**settings, **helps}
+        assert {name: make_config(env, "laptop", helped).values[name] for name in helped} == helped
+
+
+def test_a_preset_may_set_what_has_no_effect():
+    for settings in ({"algorithm": "es"}, {}):
+        for preset in ("paper", "laptop", "smoke"):
+            assert make_config("point-flagrun", preset, settings).run.preset == preset

@@ -1,0 +1,180 @@
+"""Live progress: everything that was promised, within the width of the terminal, or lines where there is none."""
+
+import io
+import math
+import re
+from pathlib import Path
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from shes.runs import progress_display as module
+from shes.runs.make_config import make_config
+from shes.runs.progress_display import ProgressDisplay, format_duration
+
+CONFIG = make_config("point-gather", "smoke", {"generations": 40})
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands still until it is told."""
+
+    class Clock:
+        now = 1000.0
+
+        def __call__(self):
+            return self.now
+
+    made = Clock()
+    monkeypatch.setattr(module, "monotonic", made)
+    return made
+
+
+def row(generation):
+    return {
+        "generation": generation,
+        "env_steps": 12_345 * generation,
+        "env_steps_per_s": 23_456.7,
+        "controller_return_mean": -1.234,
+        "controller_return_max": 3.0,
+        "primitive_return_mean": -12.34,
+        "primitive_return_max": 98.76,
+    }
+
+
+def evaluation(score):
+    return {"score_mean": score, "score_std": 0.5}
+
+
+def play(console, clock, config=CONFIG, generations=12, after=0):
+    """Show the beginning of a run, two seconds a generation."""
+    with ProgressDisplay(console) as display:
+        display.on_start(Path("runs/a"), config, after, 2)
+        for generation in range(1, generations + 1):
+            clock.now += 2
+            display.on_generation(row(generation))
+            if generation == 1 or generation % 5 == 0:
+                display.on_evaluation(evaluation(generation / 2))
+            if generation == 7:
+                display.on_event("worker 123 died (exit code -9); 4 tasks are done again")
+
+
+def terminal(width):
+    return Console(file=io.StringIO(), force_terminal=True, width=width, height=30)
+
+
+def plain(width=80):
+    return Console(file=io.StringIO(), force_terminal=False, width=width, record=True)
+
+
+def lines_of(console):
+    """Return every line that a terminal was made to show, without colours, the last block last."""
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", console.file.getvalue())
+    return [line for line in re.split(r"[\r\n]+", text) if line]
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+def test_a_terminal_shows_everything_within_its_width(clock, width):
+    console = terminal(width)
+    play(console, clock)
+    first, *lines = lines_of(console)
+    # This line the terminal wraps by itself, so that the path can be copied whole.
+    assert first == "Training point-gather (smoke) on 2 workers. Run folder: runs/a"
+    assert max(cell_len(line) for line in lines) <= width
+    last = "\n".join(lines[-10:])
+    for fact in (
+        "generation         12 / 40",
+        "controller return  -1.23 (best 3.00)",
+        "primitive return   -12.34 (best 98.76)",
+        "evaluation score   5.00 ± 0.50",
+        "env steps/s        23,457 (0.1 M so far)",
+        "time left          56 s",
+        "score so far       ▁▄█",
+        "worker 123 died (exit code -9); 4 tasks",
+    ):
+        assert fact in last
+    bar = lines[-10 if width == 40 else -9]
+    assert cell_len(bar) == min(width, 100)
+    assert set(bar) <= set("━╸╺")
+
+
+def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
+    console = plain(width=40)
+    play(console, clock, generations=40)
+    first, *lines = console.export_text().splitlines()
+    assert first.endswith("Run folder: runs/a")
+    shown = [int(line.split()[1]) for line in lines if line.startswith("generation")]
+    assert shown == [1, 6, 11, 16, 21, 26, 31, 36, 40]
+    assert lines[0] == (
+        "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.34 (best 98.76)  "
+        "evaluation score -  env steps/s 23,457 (0.0 M so far)  time left -"
+    )
+    assert lines[-1].endswith("time left 0 s")
+    assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
+    assert "\x1b" not in console.file.getvalue()
+
+
+def test_a_terminal_that_cannot_redraw_shows_a_line_for_every_generation(clock, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    console = terminal(80)
+    play(console, clock)
+    shown = [int(line.split()[1]) for line in console.file.getvalue().splitlines() if line.startswith("generation")]
+    assert shown == list(range(1, 13))
+
+
+def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):
+    file = io.TextIOWrapper(io.BytesIO(), "ascii", errors="strict")
+    play(Console(file=file, force_terminal=True, width=80, height=30), clock)
+    file.flush()
+    text = file.buffer.getvalue().decode("ascii")
+    assert "5.00 +/- 0.50" in text
+    assert "_:#" in text  # the score so far
+
+
+@pytest.mark.parametrize(
+    ("limit", "left"),
+    [({"minutes": 1.0}, "38 s"), ({"env_steps": 15 * row(1)["env_steps"]}, "8 s")],
+    ids=["60 - 22 seconds", "15 - 11 generations"],
+)
+def test_time_left_is_that_to_the_limit_that_is_reached_first(clock, limit, left):
+    console = plain()
+    play(console, clock, make_config("point-gather", "smoke", {"generations": 40, **limit}), generations=11)
+    last = console.export_text().splitlines()[-1]
+    assert last.startswith("generation 11 / 40 at most  ")
+    assert last.endswith(f"time left {left}")
+
+
+@pytest.mark.parametrize(
+    ("settings", "where"),
+    [({"backend": "serial"}, "this process"), ({"device": "warp-cpu"}, "device warp-cpu"), ({}, "2 workers")],
+)
+def test_the_first_line_tells_where_and_after_which_generation_it_trains(clock, settings, where):
+    console = plain()
+    play(console, clock, make_config("point-gather", "smoke", settings), generations=0, after=17)
+    text = f"Training point-gather (smoke) on {where} after generation 17. Run folder: runs/a\n"
+    assert console.export_text() == text
+
+
+def test_levels_are_those_of_the_row_and_brackets_are_shown_as_they_are(clock):
+    console = terminal(80)
+    with ProgressDisplay(console) as display:
+        display.on_start(Path("runs/[b] [/b] x"), CONFIG, 0, 1)
+        display.on_event("pip install 'shes[robotics]' [/b]")  # at once, before the first generation
+        assert lines_of(console)[-1] == "pip install 'shes[robotics]' [/b]"
+        levels = {"[/b]_return_mean": 1.0, "[/b]_return_max": 2.0}
+        display.on_generation({name: value for name, value in row(1).items() if "return" not in name} | levels)
+        for score in (math.nan, 1.0, math.inf, 2.0):  # a task of one's own may have a score that is no number
+            display.on_evaluation(evaluation(score))
+    text = "\n".join(lines_of(console))
+    assert "Run folder: runs/[b] [/b] x" in text
+    assert re.search(r"\[/b\] return +1\.00 \(best 2\.00\)", text)
+    assert "controller return" not in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0 s"), (59.4, "59 s"), (59.6, "1 min 00 s"), (185, "3 min 05 s"), (3600, "1 h 00 min"), (7805, "2 h 10 min")],
+)
+def test_durations_are_said_as_people_say_them(seconds, text):
+    assert format_duration(seconds) == text

@@ -1,0 +1,266 @@
+"""Folders of runs: seeds and sweeps, one after another, resumed as a whole."""
+
+import json
+import shutil
+
+import pytest
+
+from shes.cli import main
+from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, UnknownNameError, WorkerError
+from shes.runs.folder import RunFolder
+from shes.runs.progress_display import ProgressDisplay
+from shes.runs.runs_folder import RunsFolder, find_runs, read_sweep, vary
+from tests.e2e import runs
+
+SEVERAL = {name: value for name, value in runs.TINY.items() if name != "seed"}
+
+
+def train(path, *words, **settings):
+    """Return the exit code of `shes train` with tiny settings."""
+    flags = runs.flags(**{**SEVERAL, **settings}, out=path)
+    return main(["train", "point-gather", *flags, *words])
+
+
+def generations(path):
+    """Return the finished generations of every run below `path`, by place."""
+    return {str(run.path.relative_to(path)): run.load("last").generation for run in find_runs(path)}
+
+
+def refused(capsys, *words):
+    """Return the message with which a command line is refused."""
+    assert main([str(word) for word in words]) == 2
+    return " ".join(capsys.readouterr().err.split())
+
+
+def test_each_seed_is_an_ordinary_run(tmp_path, tiny_run, capsys):
+    assert train(tmp_path / "all", "--seed", "5", "6") == 0
+    assert generations(tmp_path / "all") == {"seed-5": 4, "seed-6": 4}
+    assert runs.differences(tiny_run, tmp_path / "all" / "seed-5") == []
+    assert RunFolder(tmp_path / "all" / "seed-6").read_config().run.seed == 6
+    assert "Done: 2 runs" in capsys.readouterr().out
+
+
+def test_one_seed_is_a_run_as_before(tmp_path, tiny_run):
+    assert train(tmp_path / "one", "--seed", "5") == 0
+    assert runs.differences(tiny_run, tmp_path / "one") == []
+    assert not RunsFolder.is_at(tmp_path / "one")
+
+
+def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path):
+    words = ["--sweep", "sigma=0.02,0.5", "--sweep", "hidden=none,3x2", "--seed", "1", "2"]
+    assert train(tmp_path / "all", *words, generations=1) == 2  # hidden is given as well
+    settings = {name: value for name, value in SEVERAL.items() if name != "hidden"}
+    flags = runs.flags(**{**settings, "generations": 1}, out=tmp_path / "all")
+    assert main(["train", "point-gather", *flags, *words]) == 0
+    found = generations(tmp_path / "all")
+    assert set(found.values()) == {1}
+    assert list(found)[:3] == [
+        "sigma-0.02_hidden-3x2/seed-1",
+        "sigma-0.02_hidden-3x2/seed-2",
+        "sigma-0.02_hidden-none/seed-1",
+    ]
+    assert len(found) == 8
+    config = RunFolder(tmp_path / "all" / "sigma-0.5_hidden-3x2" / "seed-2").read_config()
+    assert (config.evolution.sigma, config.networks.hidden, config.run.seed) == (0.5, (3, 2), 2)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folder of three runs of three generations that nothing happened to. Not to be changed."""
+    path = tmp_path_factory.mktemp("whole") / "all"
+    assert train(path, "--seed", "4", "5", "6", generations=3) == 0
+    return path
+
+
+@pytest.mark.parametrize("again", ["the same command", "resume"])
+def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole, monkeypatch, capsys, again):
+    path, words = tmp_path / "all", ("--seed", "4", "5", "6")
+    heard = []
+
+    def interrupt(display, row):
+        heard.append(row["generation"])
+        if len(heard) == 5:  # in the second run
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ProgressDisplay, "on_generation", interrupt)
+        assert train(path, *words, generations=3) == 130
+    assert generations(path) == {"seed-4": 3, "seed-5": 2}
+    assert f"Go on: shes resume {path}\n" in capsys.readouterr().out
+    first = (path / "seed-4" / "log.txt").read_bytes()
+    assert (train(path, *words, generations=3) if again == "the same command" else main(["resume", str(path)])) == 0
+    assert (path / "seed-4" / "log.txt").read_bytes() == first
+    for name in ("seed-4", "seed-5", "seed-6"):
+        assert runs.differences(whole / name, path / name) == []
+    assert train(path, *words, generations=3) == 0  # nothing is left
+    assert "all 3 runs of" in refused(capsys, "resume", path)
+
+
+def test_a_folder_goes_on_with_more_generations_and_more_seeds(tmp_path):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", generations=1) == 0
+    assert main(["resume", str(path), "--generations", "2"]) == 0
+    assert generations(path) == {"seed-4": 2, "seed-5": 2}
+    assert train(path, "--seed", "5", "6", generations=3) == 0
+    assert generations(path) == {"seed-4": 2, "seed-5": 3, "seed-6": 3}
+
+
+def test_minutes_are_those_of_each_run_and_one_whose_time_is_up_has_ended(tmp_path, capsys):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", generations=1) == 0
+    record = json.loads((path / "runs.json").read_text())
+    for config in record["runs"].values():
+        config["run"] |= {"minutes": 1e-9, "generations": 3}
+    (path / "runs.json").write_text(json.dumps(record))
+    assert "have ended" in refused(capsys, "resume", path)
+    assert main(["resume", str(path), "--minutes", "10"]) == 0
+    assert generations(path) == {"seed-4": 3, "seed-5": 3}
+
+
+@pytest.mark.parametrize("error", [PolicyError, WorkerError, DivergenceError])
+def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys, error):
+    def fail(display, row):
+        if display.path.name == "seed-4":
+            raise error("the policy returned NaN")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ProgressDisplay, "on_generation", fail)
+        assert train(tmp_path / "all", "--seed", "4", "5", generations=2) == 1
+    said = capsys.readouterr().err
+    assert "seed-4 failed: the policy returned NaN" in said
+    assert "1 of 2 runs failed" in said
+    assert generations(tmp_path / "all") == {"seed-4": 1, "seed-5": 2}
+    assert main(["resume", str(tmp_path / "all")]) == 0
+    assert generations(tmp_path / "all") == {"seed-4": 2, "seed-5": 2}
+
+
+def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path, capsys):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", generations=1) == 0
+    record = (path / "runs.json").read_bytes()
+    again = ["train", "point-gather", *runs.flags(**SEVERAL, out=path), "--seed", "4", "5", "6"]
+    assert "has run seed-4 with other settings: sigma is 0.07 there, not 0.5" in refused(
+        capsys, *again, "--sigma", "0.5"
+    )
+    with RunFolder(path).lock():
+        assert "is in use" in refused(capsys, *again)
+    assert (path / "runs.json").read_bytes() == record
+    assert "is a run folder: several runs need a folder of their own" in refused(
+        capsys, *again[:-6], "--out", path / "seed-4", "--seed", "4", "5"
+    )
+    assert "is a file" in refused(capsys, *again, "--out", path / "runs.json")
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """Folder of two runs that have begun. Not to be changed."""
+    path = tmp_path_factory.mktemp("begun") / "all"
+    assert train(path, "--seed", "4", "5", minutes=1e-9) == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda record: record | {"format": 9}, "its format is 9, not 1"),
+        (lambda record: record | {"runs": {"../../out": record["runs"]["seed-4"]}}, "'../../out' is no place of a run"),
+        (lambda record: record | {"runs": {}}, "it has no run"),
+        (lambda record: [record], "cannot be read"),
+    ],
+)
+def test_a_damaged_record_is_one_clear_line(tmp_path, begun, capsys, change, message):
+    path = shutil.copytree(begun, tmp_path / "all")
+    file = path / "runs.json"
+    file.write_text(json.dumps(change(json.loads(file.read_text()))))
+    error = refused(capsys, "resume", path)
+    assert message in error
+    assert "Restore it from a copy" in error
+
+
+def test_values_are_read_as_their_setting_needs():
+    assert read_sweep(["sigma=0.02, 5e-1", "workers=1,2", "primitive-sigma=none,0.1"]) == {
+        "sigma": {"0.02": 0.02, "5e-1": 0.5},
+        "num_workers": {"1": 1, "2": 2},
+        "primitive_sigma": {"none": None, "0.1": 0.1},
+    }
+    assert read_sweep(["hidden=none,64x32", "freeze_primitive=true,false", "algorithm=es,shes"]) == {
+        "hidden": {"none": (), "64x32": (64, 32)},
+        "freeze_primitive": {"true": True, "false": False},
+        "algorithm": {"es": "es", "shes": "shes"},
+    }
+
+
+@pytest.mark.parametrize(
+    ("texts", "error", "message"),
+    [
+        (["sigma"], ConfigError, r"must be a setting and its values, got 'sigma'\. Set --sweep sigma=0\.02,0\.05"),
+        (["=1"], ConfigError, "must be a setting and its values"),
+        (["sigmma=1"], ConfigError, "unknown setting 'sigmma'. Did you mean 'sigma'"),
+        (["sigma="], ConfigError, "sigma must be a positive number, got ''"),
+        (["sigma=1,2x"], ConfigError, "sigma must be a positive number, got '2x'"),
+        (["sigma=1,1.0"], ConfigError, "has a value twice"),
+        (["sigma=1,1"], ConfigError, "has a value twice"),
+        (["sigma=1", "--sigma=2"], ConfigError, "sigma is swept twice"),
+        (["seed=1,2"], ConfigError, r"seed cannot be swept\. Give several seeds by --seed 1 2 3"),
+        (["env=ant-gather"], ConfigError, "Runs of a folder have one environment"),
+        (["algorithm=se"], UnknownNameError, "unknown algorithm 'se'. Did you mean"),
+        (["population_size=1.5"], ConfigError, "population_size must be a whole number"),
+    ],
+)
+def test_a_wrong_sweep_is_refused(texts, error, message):
+    with pytest.raises(error, match=message):
+        read_sweep(texts)
+
+
+def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
+    base = ["train", "point-gather", *runs.flags(**SEVERAL, out=tmp_path / "all")]
+    assert "population_size" in refused(capsys, *base[:4], "--out", tmp_path / "all", "--sweep", "population_size=8,7")
+    assert "seed 1 is given twice" in refused(capsys, *base, "--seed", "1", "1")
+    assert "seed needs at least one value" in refused(capsys, *base, "--seed")
+    assert "sigma is both given and swept" in refused(capsys, *base, "--sigma", "1", "--sweep", "sigma=1,2")
+    assert "at most 1,000 are allowed" in refused(
+        capsys, *base, *("--sweep", f"sigma={','.join(map(str, range(1, 502)))}"), "--seed", "1", "2"
+    )
+    assert "seed must be" in refused(capsys, *base, "--seed", "1", "-2")
+    for name, message in (("population-size", "GB are free. Lower"), ("noise-table-size", "noise_table_size is ")):
+        sweep = ["--sweep", f"{name}=8,{10**15}", "--workers", "1"]
+        assert message in refused(capsys, *base[:4], "--out", tmp_path / "all", *sweep)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_places_differ_even_where_values_cannot_be_file_names():
+    found = vary("point-gather", "smoke", {}, [1], {"sigma": {"0.1": 0.1, "0.1 ": 0.2}})
+    assert len(found) == 2
+    assert all("/" not in name.partition("/")[2] and " " not in name for name in found)
+
+
+def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
+    (tmp_path / "other.json").write_text("{}")
+    for seed in (10, 9, 1):
+        path = tmp_path / "sigma-0.5" / f"seed-{seed}"
+        path.mkdir(parents=True)
+        for file in ("config.json", "progress.csv"):
+            (path / file).write_bytes((tiny_run / file).read_bytes())
+    assert [run.path.name for run in find_runs(tmp_path)] == ["seed-1", "seed-9", "seed-10"]
+    assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
+    with pytest.raises(RunFolderError, match="is not a run folder"):
+        find_runs(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "info", "render"])
+def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command):
+    experiment = tmp_path / "experiment"
+    names = [f"point-gather/methods/published/seed-{seed}" for seed in (2, 10)]
+    for name in names:
+        shutil.copytree(tiny_run, experiment / name)
+    for place in (experiment, experiment / "model"):
+        place.mkdir(exist_ok=True)
+        (place / ".lock").touch()  # as of a study
+    (experiment / "model" / "config.json").write_text("{}")  # of another program
+    which = "one or several of them" if command == "render" else "one of them"
+    error = refused(capsys, command, experiment)
+    assert f"{experiment} is a folder of 2 runs: give {which}, such as {experiment / names[0]}" in error
+    assert (f"{names[1]}." in error) == (command == "render")
+    shutil.rmtree(experiment / names[1])
+    error = refused(capsys, command, experiment)
+    assert f"is no run folder, but there is one below it: give {experiment / names[0]}." in error

@@ -1,0 +1,331 @@
+"""Transfer: what a level brings, what stays as it was, and what does not fit."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+import shes
+from shes.cli import main
+from shes.errors import CheckpointError, ConfigError, RunFolderError
+from shes.runs.build import build_algorithm
+from shes.runs.folder import RunFolder
+from shes.runs.make_config import make_config
+from shes.runs.tables import read_csv
+from shes.runs.transfer import check_robot
+from tests.e2e import runs
+
+ANT = {
+    "generations": 3,
+    "evaluation_interval": 1,
+    "keep_checkpoints": 1,
+    "population_size": 4,
+    "evaluation_episodes": 2,
+}
+BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5}
+"""What a primitive brings. No value is a default."""
+WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
+BY_CONTROLLER = {"controller_output": "one_hot", "controller_view": "egocentric", "hidden": (4,)}
+SUGGESTED = {"controller_interval": 7, "goal_distance": 2.5, "minimum_goal_distance": False}
+"""What a controller brings unless another value is asked for. No value is a default."""
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    """Return a function that returns the folder of a run with a level to take. Not to be changed."""
+    settings = {
+        "ant": ("ant-flagrun", {**ANT, "hidden": (5,)}),
+        "ant of hiro": ("ant-flagrun", {**ANT, "hidden": (5,), "spec": "hiro"}),
+        "walker": (
+            "ant-flagrun",
+            {**ANT, **WALKER, "generations": 1, "primitive_estimate": "interval", "controller_interval": 4,
+             "hidden": (5,)},
+        ),
+        "point": ("point-flagrun", {**ANT, "hidden": (3, 2), **BROUGHT}),
+        "plain": ("point-flagrun", ANT),
+        "two levels": ("point-push", {"primitive_hidden": (3,)}),
+        "controller": ("point-gather", {**BY_CONTROLLER, **SUGGESTED, "generations": 2, "evaluation_interval": 2}),
+    }  # fmt: skip
+    made = {}
+
+    def find(name):
+        if name not in made:
+            env, own = settings[name]
+            made[name] = runs.train_tiny(tmp_path_factory.mktemp("source") / "run", env, **own)
+        return made[name]
+
+    return find
+
+
+def level(path, checkpoint, name="primitive"):
+    """Return a level of a checkpoint."""
+    (found,) = [each for each in runs.state(path, checkpoint).levels if each.name == name]
+    return found
+
+
+def same(one, other):
+    """Return whether the parameters and statistics of two levels are bit-identical."""
+    pairs = [(one.theta, other.theta)]
+    pairs += [(getattr(one.statistics, name), getattr(other.statistics, name)) for name in ("total", "total_squares")]
+    counts = one.statistics.count == other.statistics.count
+    return counts and all(mine.tobytes() == theirs.tobytes() for mine, theirs in pairs)
+
+
+def values_of(path):
+    return RunFolder.open(path).read_config().values
+
+
+# Primitives.
+
+TASKS = [
+    pytest.param(task, source, marks=[] if (task, source) in (("gather", "ant"), ("maze", "ant")) else pytest.mark.slow)
+    for task in ("gather", "maze", "push", "fall")
+    for source in ("ant", "ant of hiro")
+]
+
+
+@pytest.mark.parametrize(("task", "source"), TASKS)
+def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(sources, tmp_path, task, source):
+    """Two policies are a whole population: only the controller is mirrored."""
+    spec = "hiro" if "hiro" in source else "shes"
+    path = tmp_path / "run"
+    runs.train_tiny(path, f"ant-{task}", primitive=str(sources(source)), generations=2, population_size=2, spec=spec)
+    config = RunFolder.open(path).read_config()
+    assert (config.hierarchy.primitive_view, config.hierarchy.primitive_hidden) == ("proprioception", (5,))
+    assert config.networks.hidden == (4,)
+    brought = level(sources(source), "best")
+    assert brought.statistics.count > 0
+    assert len(brought.statistics.total) == 3 + 29
+    for checkpoint in ("0", "2", "last"):
+        assert same(level(path, checkpoint), brought)
+        assert level(path, checkpoint).optimizer.steps == 0
+    controllers = [level(path, name, "controller") for name in ("0", "last")]
+    assert not np.array_equal(controllers[0].theta, controllers[1].theta) or task == "gather"  # which pays nothing yet
+    assert [each.statistics.count > 0 for each in controllers] == [False, True]
+    assert np.isnan(read_csv(path / "progress.csv")["primitive_gradient_norm"]).all()
+
+
+def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path):
+    settings = {"primitive": str(sources("point")), "freeze_primitive": False}
+    path = runs.train_tiny(tmp_path / "run", **settings, generations=2)
+    brought, start, end = level(sources("point"), "best"), level(path, "0"), level(path, "last")
+    assert same(start, brought)
+    assert not np.array_equal(end.theta, brought.theta)
+    assert end.statistics.count == brought.statistics.count + 2 * 8 * 20
+    assert (start.optimizer.steps, end.optimizer.steps) == (0, 2)
+    with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
+        runs.train_tiny(tmp_path / "other", **settings, population_size=2)
+
+
+@pytest.mark.slow
+def test_the_controller_begins_as_it_would_without(sources, tmp_path):
+    alone = runs.train_tiny(tmp_path / "alone", generations=1)
+    path = runs.train_tiny(tmp_path / "run", primitive=str(sources("plain")), generations=1)
+    one, other = (level(run, "0", "controller") for run in (alone, path))
+    assert one.theta.tobytes() == other.theta.tobytes()
+
+
+def test_a_primitive_brings_what_it_was_trained_with(sources, tmp_path):
+    source = sources("point")
+    path = runs.train_tiny(tmp_path / "run", primitive=source, controller_interval=5, generations=1)
+    values, record = values_of(path), RunFolder(path).read_record()
+    given = {"primitive": str(source), "primitive_checkpoint": "best", "freeze_primitive": True}
+    own = {"primitive_hidden": (3, 2), "primitive_view": "proprioception", "controller_interval": 5}
+    assert values.items() >= {**BROUGHT, **given, **own}.items()
+    best = RunFolder.open(source).load("best").generation
+    origin = {"run": str(source), "env": "point-flagrun", "checkpoint": "best", "generation": best}
+    assert record["primitive"] == {**origin, "config": RunFolder.open(source).read_record()["config"]}
+    assert best > 0
+    assert len(level(path, "last").statistics.total) == 3 + 2 + 4  # goal, clock, robot
+
+
+def test_a_walker_brings_its_view_and_its_symmetry(sources, tmp_path):
+    controller = {"controller_output": "heading_vector", "controller_view": "egocentric"}
+    settings = {"primitive": str(sources("walker")), "population_size": 2, "generations": 1, **controller}
+    path = runs.train_tiny(tmp_path / "run", "ant-gather", **settings)
+    config = RunFolder.open(path).read_config()
+    assert config.values.items() >= {**WALKER, "primitive_hidden": (5,)}.items()
+    assert config.estimate.primitive_estimate == "episode"  # how it learned is its own affair
+    assert len(level(path, "last").statistics.total) == 3 + 2 + 25
+    assert same(level(path, "last"), level(sources("walker"), "best"))
+    assert build_algorithm(config).design.symmetry.num_elements == 8
+
+
+def test_a_walker_may_learn_on_upon_branches(sources, tmp_path):
+    settings = {"primitive_estimate": "interval", "controller_interval": 4, "freeze_primitive": False}
+    path = tmp_path / "run"
+    runs.train_tiny(path, "ant-gather", primitive=str(sources("walker")), generations=1, **settings)
+    assert same(level(path, "0"), level(sources("walker"), "best"))
+    assert not np.array_equal(level(path, "last").theta, level(sources("walker"), "best").theta)
+
+
+@pytest.mark.parametrize("checkpoint", ["last", "1"])
+def test_any_checkpoint_of_the_run_may_be_brought(sources, tmp_path, checkpoint):
+    words = ["train", "point-push", *runs.flags(**runs.TINY), "--generations", "1", "--out", str(tmp_path / "run")]
+    given = ["--primitive", str(sources("plain")), "--primitive-checkpoint", checkpoint, "--no-freeze-primitive"]
+    assert main([*words, *given]) == 0
+    values = values_of(tmp_path / "run")
+    assert (values["primitive_checkpoint"], values["freeze_primitive"]) == (checkpoint, False)
+    assert same(level(tmp_path / "run", "0"), level(sources("plain"), checkpoint))
+    assert not same(level(sources("plain"), "last"), level(sources("plain"), "1"))
+
+
+@pytest.mark.slow
+def test_one_that_saw_the_robot_alone_serves_every_task(tmp_path):
+    chain = runs.train_tiny(tmp_path / "source", "point-push", primitive_view="proprioception", generations=1)
+    first = level(chain, "best")
+    for task in ("point-gather", "point-maze"):  # and a run that was begun with it can be the next one's source
+        chain = runs.train_tiny(tmp_path / task, task, primitive=str(chain), generations=1)
+        assert same(level(chain, "best"), first)
+
+
+def test_the_primitive_of_a_run_with_a_controller_serves_the_same_task(sources, tmp_path):
+    path = runs.train_tiny(tmp_path / "run", "point-push", primitive=str(sources("two levels")), generations=1)
+    assert values_of(path).items() >= {"primitive_view": "observation", "primitive_hidden": (3,)}.items()
+    assert same(level(path, "last"), level(sources("two levels"), "best"))
+
+
+# Controllers.
+
+
+def test_a_controller_brings_its_parameters_statistics_and_settings(sources, tmp_path):
+    source, plain = sources("controller"), sources("plain")
+    settings = {"controller": source, "primitive": plain, "generations": 1}
+    path = runs.train_tiny(tmp_path / "run", **settings)
+    assert same(level(path, "0", "controller"), level(source, "best", "controller"))
+    assert same(level(path, "0"), level(plain, "best"))
+    assert not same(level(path, "last", "controller"), level(source, "best", "controller"))  # it learns on
+    assert values_of(path).items() >= {**BY_CONTROLLER, **SUGGESTED}.items()
+    record = json.loads((path / "config.json").read_text())
+    best = RunFolder.open(source).load("best").generation
+    origin = {"run": str(source), "env": "point-gather", "checkpoint": "best", "generation": best}
+    assert record["controller"].items() >= origin.items()
+    assert record["primitive"]["run"] == str(plain)
+
+
+def test_what_a_controller_suggests_may_be_asked_for_otherwise(sources):
+    other = {"controller_interval": 9, "goal_distance": 3.0, "minimum_goal_distance": True}
+    found = make_config("point-gather", "smoke", {"controller": str(sources("controller")), **other})
+    assert found.values.items() >= {**BY_CONTROLLER, **other}.items()
+
+
+def test_an_equivariant_controller_brings_its_network(tmp_path):
+    network = {"controller_network": "equivariant", "controller_view": "sectors"}
+    source = runs.train_tiny(
+        tmp_path / "source", **network, controller_output="heading_direction", generations=1
+    )  # fmt: skip
+    path = runs.train_tiny(tmp_path / "run", controller=str(source), generations=1)
+    assert values_of(path).items() >= network.items()
+    assert same(level(path, "0", "controller"), level(source, "best", "controller"))
+
+
+# What cannot be.
+
+CONTRADICTIONS = [
+    ("point", "point-gather", "goal_encoding", "angle", "unit_vector"),
+    ("point", "point-gather", "clock_frequency", None, 1.5),
+    ("point", "point-gather", "primitive_hidden", (3,), (3, 2)),
+    ("point", "point-gather", "primitive_hidden", None, (3, 2)),
+    ("point", "point-gather", "primitive_view", "observation", "proprioception"),
+    ("walker", "ant-gather", "symmetry", "rotation", "dihedral"),
+    ("ant", "ant-gather", "symmetry", "dihedral", "none"),
+    ("controller", "point-gather", "controller_output", "vector", "one_hot"),
+    ("controller", "point-gather", "controller_view", "observation", "egocentric"),
+    ("controller", "point-gather", "controller_network", "equivariant", "mlp"),
+    ("controller", "point-gather", "hidden", (5,), (4,)),
+]
+
+
+@pytest.mark.parametrize(("source", "env", "name", "asked", "trained"), CONTRADICTIONS)
+def test_what_contradicts_the_level_is_refused(sources, tmp_path, source, env, name, asked, trained):
+    kind, path = "controller" if source == "controller" else "primitive", sources(source)
+    message = f"{name} is {asked!r}, but the {kind} of {path} was trained with {trained!r}. Omit --"
+    with pytest.raises(ConfigError, match=re.escape(message + name.replace("_", "-"))):
+        runs.train_tiny(tmp_path / "run", env, **{kind: str(path), name: asked})
+    assert list(tmp_path.iterdir()) == []
+
+
+OTHER_ROBOT = "it was trained on ant-flagrun for the ant with 8 controls of up to 30, but .* has {}"
+MISFITS = {
+    "another robot": ("ant", "point-gather", {}, OTHER_ROBOT.format("the point with 2 controls of up to 1")),
+    "another robot's walker": ("walker", "point-gather", {}, OTHER_ROBOT.format("the point with 2 controls of up to")),
+    "another task": ("two levels", "point-gather", {}, r"\nIt was trained on point-push: .*\nHere there is: "),
+    "another specification": ("ant", "ant-gather", {"spec": "hiro"}, r"of specification shes and 8(.|\n)*on hiro and"),
+    "a height": (
+        "point",
+        "point-fall",
+        {},
+        r"9 inputs \((.|\n)*trained with the same --spec by shes train ant-flagrun",
+    ),
+    "another controller": ("controller", "point-maze", {}, r"It was trained on point-gather: "),
+}
+
+
+@pytest.mark.parametrize("case", MISFITS)
+def test_a_level_that_does_not_fit_is_refused_by_saying_why(sources, tmp_path, case):
+    source, env, settings, message = MISFITS[case]
+    kind, path = "controller" if source == "controller" else "primitive", sources(source)
+    with pytest.raises(ConfigError, match=rf"the {kind} of {path} does not fit {env}(.|\n)*{message}"):
+        runs.train_tiny(tmp_path / "run", env, **{kind: str(path), **settings})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_external_robot_cannot_have_an_egocentric_primitive():
+    config = make_config("gymnasium:shes/PointMaze-v0", "smoke", {"primitive": "ant-walker"})
+    with pytest.raises(ConfigError, match=r"of ant-walker does not fit .* for the ant .* has an external robot"):
+        check_robot(config)
+
+
+def test_a_run_without_the_level_is_refused(sources, tmp_path):
+    flat = runs.train_tiny(tmp_path / "flat", algorithm="es", generations=1)
+    for message, env, settings in (
+        (
+            rf"{flat} has no primitive: its levels are policy\. Name a run with --prim",
+            "point-gather",
+            {"primitive": flat},
+        ),
+        ("has no controller: its levels are primitive", "point-gather", {"controller": sources("plain")}),
+        (
+            r"controller is not a setting of a run of point-flagrun .*Omit --controller",
+            "point-flagrun",
+            {"controller": flat},
+        ),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            runs.train_tiny(tmp_path / "run", env, **{name: str(path) for name, path in settings.items()})
+
+
+def test_a_source_that_is_not_there_or_damaged_is_refused(sources, tmp_path):
+    source = shutil.copytree(sources("plain"), tmp_path / "source")
+    (tmp_path / "empty").mkdir()
+
+    def refused(kind, message, path=source, **settings):
+        with pytest.raises(kind, match=message):
+            runs.train_tiny(tmp_path / "run", primitive=str(path), **settings)
+        assert not (tmp_path / "run").exists()
+
+    refused(RunFolderError, "gone does not exist", tmp_path / "gone")
+    refused(RunFolderError, r"is not a run folder: it has no config\.json", tmp_path / "empty")
+    message = r"source has no checkpoint '77'; it has best, 0, 1, 2, 3, last\. Set --primitive-checkpoint\."
+    message = message.replace("best, 0, 1, 2, 3, last", "0, 1, 2, 3, best, last")
+    refused(CheckpointError, message, primitive_checkpoint="77")
+    (source / "checkpoints" / "best.npz").write_bytes(b"PK")
+    refused(CheckpointError, r"best\.npz is not a whole SHES checkpoint")
+    (source / "config.json").write_text("{")
+    refused(RunFolderError, r"config\.json cannot be read")
+
+
+def test_a_run_needs_the_folder_of_its_primitive_no_more(sources, tmp_path):
+    source = shutil.copytree(sources("plain"), tmp_path / "source")
+    settings = {"primitive": str(source), "freeze_primitive": False, "evaluation_interval": 1}
+    whole = runs.train_tiny(tmp_path / "whole", **settings, generations=3)
+    half = runs.train_tiny(tmp_path / "half", **settings, generations=1)
+    shutil.rmtree(source)
+    assert shes.load(half).goal is not None
+    shes.resume(half, generations=3)
+    assert runs.differences(whole, half) == []
+    for other in ({"primitive": str(half)}, {"freeze_primitive": False}, {"algorithm": "es"}):
+        with pytest.raises(ConfigError, match="would change the numbers of the run"):
+            shes.resume(half, generations=4, **other)
