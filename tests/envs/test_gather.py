@@ -71,7 +71,15 @@ def test_an_object_nearer_than_1_m_is_caught_once():
 @pytest.mark.parametrize("kind", [0, 1])
 def test_an_object_shows_in_the_bin_of_its_bearing(kind):
     # Straight ahead is the border of the two front bins and belongs to the left one; bin 0 begins at bearing -pi.
-    for place, number in {(4, 0): 5, (4, -0.1): 4, (-4, 0): 0, (-4, -0.1): 0, (-4, 0.1): 9, (0, 4): 7, (0, -4): 2}.items():
+    for place, number in {
+        (4, 0): 5,
+        (4, -0.1): 4,
+        (-4, 0): 0,
+        (-4, -0.1): 0,
+        (-4, 0.1): 9,
+        (0, 4): 7,
+        (0, -4): 2,
+    }.items():
         seen = readings(start(**{("food", "poison")[kind]: [place]}))
         expected = only(number, 1 - (place[0] ** 2 + place[1] ** 2) / 64)
         np.testing.assert_allclose(seen[kind], expected, atol=1e-15, err_msg=str(place))

@@ -19,34 +19,40 @@ def make(num_envs=3, **options):
     return gymnasium.make_vec("shes/PointGather-v0", num_envs=num_envs, **options)
 
 
-def begun(num_envs):
-    """Return an environment of the ant, single if `num_envs` is 0, that has begun."""
-    name = "shes/AntGather-v0"
-    env = gymnasium.make_vec(name, num_envs=num_envs) if num_envs else gymnasium.make(name).unwrapped
-    env.reset(seed=0)
-    return env
+@pytest.fixture(params=[0, 2])
+def begin(request):
+    """Return a function that returns an environment of the ant, single or of two, that has begun."""
+
+    def make_one():
+        name, num_envs = "shes/AntGather-v0", request.param
+        env = gymnasium.make_vec(name, num_envs=num_envs) if num_envs else gymnasium.make(name).unwrapped
+        env.reset(seed=0)
+        return env
+
+    return make_one
 
 
-@pytest.mark.parametrize("num_envs", [0, 2])
-def test_a_finite_action_of_any_size_is_the_strongest(num_envs):
+def test_a_finite_action_of_any_size_is_the_strongest(begin):
     shown = []
     for size in (1.0, 1e308):  # warnings are errors: 1e308 times 30 overflows
-        env = begun(num_envs)
+        env = begin()
         shown.append(env.step(np.full(env.action_space.shape, -size))[0])
     np.testing.assert_array_equal(*shown)
 
 
-@pytest.mark.parametrize("num_envs", [0, 2])
-@pytest.mark.parametrize("wrong", ["forward", None, {"leg": 1}, ["1"] * 8, [[0.0], [0.0, 1.0]], np.full(8, 1j)])
-def test_an_action_without_numbers_is_refused(num_envs, wrong):
-    message = rf"an action must be an array of numbers in \[-1, 1\], got .*{re.escape(repr(wrong)[:6])}"
-    with pytest.raises(PolicyError, match=message):
-        begun(num_envs).step(wrong)
+def test_whole_numbers_and_lists_are_actions_too(begin):
+    one, other = begin(), begin()
+    action = np.zeros(one.action_space.shape, int)
+    action[..., [1, 3]] = 1, -1
+    np.testing.assert_array_equal(one.step(action.tolist())[0], other.step(action.astype(float))[0])
 
 
-def test_whole_numbers_and_lists_are_actions_too():
-    one, other = begun(0), begun(0)
-    np.testing.assert_array_equal(one.step([0, 1, 0, -1, 0, 0, 0, 0])[0], other.step(np.eye(8)[1] - np.eye(8)[3])[0])
+def test_an_action_without_numbers_is_refused(begin):
+    env = begin()
+    for wrong in ("forward", None, {"leg": 1}, ["1"] * 8, [[0.0], [0.0, 1.0]], np.full(8, 1j)):
+        message = rf"an action must be an array of numbers in \[-1, 1\], got .*{re.escape(repr(wrong)[:6])}"
+        with pytest.raises(PolicyError, match=message):
+            env.step(wrong)
 
 
 def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
