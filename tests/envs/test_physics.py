@@ -28,13 +28,13 @@ RUN_UP_M = 0.5
 """How much further off it may start."""
 
 ALLOWED_M = {
-    # The robot's centre: of the point's sphere, or of the ant's torso, another sphere of 0.25 m. None may be over a wall.
+    # The robot's centre: of the point's sphere or the ant's torso, another sphere of 0.25 m. None may be over a wall.
     "robot in wall": 0.0,
     "robot over wall": 0.0,
     "robot in platform": 0.0,
     "robot under ground": 0.0,
-    # Contacts with a block of 0.2 g are soft: a point that pushes with its 6 N goes on with its surface 0.2 m in it, and
-    # one that hits it when a wall is behind it gets 0.6 m in, its centre 0.35 m; it is pushed out again.
+    # Contacts with a block of 0.2 g are soft: a point that pushes with its 6 N goes on with its surface 0.2 m in it.
+    # One that hits it when a wall is behind it gets 0.6 m in, its centre 0.35 m; it is pushed out again.
     "robot in block": 0.5,
     # 0.25 m at most in a thousand episodes of any task and integrator.
     "block in wall": 0.4,
