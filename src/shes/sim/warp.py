@@ -87,7 +87,7 @@ class WarpSimulator(Simulator):
             raise ConfigError(f"mujoco-warp does not run this model: {error} Use --device cpu.") from error
         self._model.opt.warn_overflow = 0  # no prints from kernels: `check_buffers` reports overflows
         self._model.callback.control = self._watch
-        self._model.callback.contactfilter = self._align
+        self._model.callback.contactfilter = self.align_tangents
         self._data: Any = self._mujoco_warp.make_data(
             self.model, self.num_sims, nconmax=self.buffers.nconmax, njmax=self.buffers.njmax
         )
@@ -193,7 +193,7 @@ class WarpSimulator(Simulator):
         counts = [data.nefc, data.nacon, data.ncollision, self._peak_constraints, self._peak_contacts]
         self._launch_kernel(self._kernels.watch_buffers, counts)
 
-    def _align(self, model: Any, data: Any) -> None:
+    def align_tangents(self, model: Any, data: Any) -> None:
         """Align the tangents of capsule contacts with MuJoCo in C. mujoco-warp calls this after collision detection."""
         contact = data.contact
         arguments = [data.nacon, contact.geom, contact.worldid, model.geom_type, data.geom_xmat, contact.frame]
