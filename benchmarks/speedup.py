@@ -146,7 +146,7 @@ def draw_s(algorithm: EvolutionAlgorithm) -> float:
 
 def rollout_s(worker: Backend, work: Draws, num_workers: int, message_s: float, samples: int) -> float:
     """Return the projected seconds of the rollouts of `work` on `num_workers` cores; `worker` runs shares of it."""
-    num_episodes = sum(task.num_units for task in work.tasks)
+    num_episodes = sum(len(task.slots) for task in work.tasks)
     size = ceil(num_episodes / num_workers)
     num_shares = ceil(num_episodes / size)
     starts = sorted({size * (i * num_shares // samples) for i in range(samples)})
@@ -165,10 +165,10 @@ def share(tasks: Sequence[EpisodeTask], first: int, size: int) -> list[EpisodeTa
     """Return tasks of `size` successive episodes of `tasks`, from episode `first` on; fewer at the end."""
     found, start = list[EpisodeTask](), 0
     for task in tasks:
-        low, high = max(first - start, 0), min(first + size - start, task.num_units)
+        low, high = max(first - start, 0), min(first + size - start, len(task.slots))
         if low < high:
             found.append(task.part(low, high))
-        start += task.num_units
+        start += len(task.slots)
     return found
 
 

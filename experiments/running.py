@@ -36,9 +36,6 @@ from shes.runs.tables import trained_minutes
 from shes.runs.train import finish_run
 from shes.storage import storage_errors
 
-_SHORTEST_MINUTES = 1e-6
-"""Minutes in which no generation begins."""
-
 
 def run_experiment(
     experiment: Experiment,
@@ -135,9 +132,11 @@ def finish(run: Run, out: Path, episodes: int, workers: Mapping[str, Any] = ALON
     config, folder = run.config(out, workers), RunFolder(out / run.name)
     if folder.config.is_file():
         _check_settings(run, folder, config)
-    if (limit := config.run.minutes) is not None:
-        config = config.having(minutes=max(limit - trained_minutes(folder), _SHORTEST_MINUTES))
-    finish_run(config, folder.path)
+    left = config.run.minutes
+    if left is not None and folder.config.is_file():
+        left -= trained_minutes(folder)
+    if left is None or left > 0:
+        finish_run(config.having(minutes=left), folder.path)
     write_summary(run, out, summarise(run, out, episodes))
 
 

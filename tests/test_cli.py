@@ -298,7 +298,7 @@ def test_ctrl_c_says_how_to_go_on_if_there_is_a_run(capsys, tmp_path, tiny_run, 
     def interrupted(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.runs.train._go_on", interrupted)
+    monkeypatch.setattr(f"shes.runs.train.{where}", interrupted)
     path, more = tmp_path / "a run", ["--out", str(tmp_path / "a run")]
     words = ["point-gather", *TINY, *more] if command == "train" else [str(tiny_run), "--generations", "9"]
     assert main([command, *words]) == 130

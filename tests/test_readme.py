@@ -38,7 +38,7 @@ def test_python_example_runs(tmp_path, monkeypatch, capsys):
 def test_flags_and_commands_exist():
     known = {setting.flag for setting in known_settings().values()}
     known |= {"--no-" + setting.flag[2:] for setting in known_settings().values() if setting.kind is bool}
-    known |= {"--checkpoint", "--episodes", "--help-all", "--import", "--json", "--out", "--size", "--steps"}
+    known |= {"--checkpoint", "--episodes", "--help", "--help-all", "--import", "--json", "--out", "--size", "--steps"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
     assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(COMMANDS)
 

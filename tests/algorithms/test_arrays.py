@@ -80,56 +80,49 @@ def without(*names):
     return lambda arrays: {name: array for name, array in arrays.items() if name not in names}
 
 
-def changed(name, change):
-    return lambda arrays: {**arrays, name: np.asarray(change(arrays[name]))}
-
-
 def ending_in(value):
     return lambda array: np.append(array.ravel()[:-1], value).reshape(array.shape).astype(array.dtype)
 
 
-OTHER, MINUS = "holds {} as .*, where this run has ", "holds a negative number in {}. Put back the checkpoint"
+OF_RUN, OTHER, NAN = (
+    "is not of this run: it {} Put back",
+    "holds {} as .*, where this run has ",
+    "NaN or infinity in {}",
+)
+MINUS, LENGTH = "holds a negative number in {}", r"holds {} of length 2, where archive/\w+ has 1"
+CHANGES = [
+    ("controller/theta", lambda array: array[:-1], OTHER),
+    ("primitive/theta", lambda array: array[None], OTHER),
+    ("primitive/theta", lambda array: array.astype(np.int64), OTHER),
+    ("controller/observation_total", lambda array: array.astype("U"), OTHER),
+    ("generation", lambda array: array[None], OTHER),
+    ("archive/cells", lambda array: array[:, :1], OTHER),
+    ("archive/states", lambda array: array[0], OTHER),
+    *((f"archive/{name}", lambda array: np.concatenate([array] * 2), LENGTH)
+      for name in ("steps", "chosen", "nodes", "states", "positions")),
+    *((name, ending_in(np.nan), NAN) for name in ("controller/theta", "primitive/observation_total", "running/states")),
+    ("controller/theta", ending_in(np.inf), NAN),
+    *((name, ending_in(-1), MINUS) for name in ("generation", "seed", "primitive/optimizer_steps")),
+    ("running/steps", ending_in(-2), MINUS),
+]  # fmt: skip
 HARMS = [
-    (without("env_steps"), "is not of this run: it lacks env_steps. Put back the checkpoint of this run"),
-    (lambda arrays: {**arrays, "z": np.zeros(1)}, "is not of this run: it has z. Put back"),
-    (lambda arrays: {**without("seed")(arrays), "z": np.zeros(1)}, "is not of this run: it lacks seed and has z. Put"),
+    (without("env_steps"), OF_RUN.format("lacks env_steps.")),
+    (lambda arrays: {**arrays, "z": np.zeros(1)}, OF_RUN.format("has z.")),
+    (lambda arrays: {**without("seed")(arrays), "z": np.zeros(1)}, OF_RUN.format("lacks seed and has z.")),
     (without("running/states"), "has states or steps of running episodes, not both"),
     (without("running/steps"), "has states or steps of running episodes, not both"),
     (without("levels"), "is not a whole SHES checkpoint .KeyError: .*levels"),
     *(
-        (changed(name, change), OTHER.format(name))
-        for name, change in (
-            ("controller/theta", lambda array: array[:-1]),
-            ("primitive/theta", lambda array: array[None]),
-            ("primitive/theta", lambda array: array.astype(np.int64)),
-            ("primitive/optimizer_first", lambda array: np.concatenate([array, array])),
-            ("controller/observation_total", lambda array: array.astype("U")),
-            ("generation", lambda array: array[None]),
-            ("generation", np.float64),
-            ("archive/cells", lambda array: array[:, :1]),
-            ("archive/states", lambda array: array[0]),
-        )
-    ),
-    *(
         (
-            changed(f"archive/{name}", lambda array: np.concatenate([array] * 2)),
-            rf"holds archive/{name} of length 2, where archive/\w+ has 1. Put",
+            lambda arrays, at=name, change=change: {**arrays, at: np.asarray(change(arrays[at]))},
+            f".*{told.format(name)}",
         )
-        for name in ("steps", "chosen", "nodes", "states", "positions")
-    ),
-    *(
-        (changed(name, ending_in(value)), f"holds NaN or infinity in {name}. Take an earlier checkpoint")
-        for name in ("controller/theta", "primitive/observation_total", "running/states")
-        for value in (np.nan, np.inf)
-    ),
-    *(
-        (changed(name, ending_in(value)), MINUS.format(name))
-        for name, value in (("generation", -1), ("seed", -1), ("primitive/optimizer_steps", -3), ("running/steps", -2))
+        for name, change, told in CHANGES
     ),
 ]
 
 
-@pytest.mark.parametrize(("harm", "message"), HARMS, ids=[message[:50] for _, message in HARMS])
+@pytest.mark.parametrize(("harm", "message"), HARMS)
 def test_arrays_that_are_not_of_this_run_are_refused(learner, arrays, harm, message):
     with pytest.raises(CheckpointError, match=rf"^a\.npz {message}"):
         restore(Checkpoint(arrays=harm(arrays), best=Best(), numbers={}), learner.from_arrays, Path("a.npz"))

@@ -99,7 +99,7 @@ def test_a_row_holds_what_the_generation_saw():
     }
 
 
-def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
+def test_a_primitive_on_branches_has_the_numbers_of_its_pairs():
     """The returns, ties and noise of its level, and columns of their own; the other columns are whole episodes'."""
     pairs = population([[[1], [2], [2], [9]]], [[6, 8]], [[[1], [-1]]] * 2, (1,), 0.07,
                        steps=[[50], [50], [50], [30]], has_terminated=[[False]] * 3 + [[True]])  # fmt: skip
@@ -125,8 +125,9 @@ def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
 )
 def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
     returns = np.array([returns, [0] * 4])[:, :, None]
-    row = row_of(population(returns, [[0] * 4] * 2))
+    row = row_of(population(returns, [[0] * 4, [0, 5, 10, 14]]))
     assert (row["controller_rank_ties"], row["primitive_rank_ties"]) == (share, 1.0)
+    assert row["primitive_noise_overlapping"] == 2  # those that start at 10 and 14: vectors have 5 normals
     signs = np.array([[[1, 0]], [[1, 0]], [[0, 0]], [[0, 0]]])  # half of them the controller, nobody the primitive
     row = row_of(population(returns, [[0, 9, 9, 9], [7, 7, 7, 7]], signs))
     assert (row["controller_noise_distinct"], row["controller_rank_ties"]) == (2, float(np.ptp(returns[0, :2]) == 0))
@@ -168,7 +169,7 @@ def test_update_columns_are_what_the_checkpoints_say(path):
 
 
 @pytest.mark.parametrize("generation", [1, 3])
-def test_the_cosine_is_that_of_the_gradients_of_two_half_populations(path, generation):
+def test_the_cosine_is_that_of_two_half_populations(path, generation):
     learner, table = build_algorithm(RunFolder.open(path).read_config()), read_csv(path / "progress.csv")
     state = runs.state(path, generation - 1)
     with SerialBackend(partial(RolloutWorker, learner.plan())) as backend:

@@ -1,8 +1,8 @@
 """The search for a way beside evolution: when it goes on, what it costs, and whom its way guides."""
 
-import itertools
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def searched(speed, generations, horizon=200, **settings):
     return found, backend
 
 
-def test_a_search_finds_a_way_that_was_walked_shortens_it_and_ends():
+def test_a_search_finds_a_way_shortens_it_and_ends():
     found, backend = searched(1.0, 40)
     archive = found[-1].archive
     assert (archive.is_over, archive.stalled) == (True, PATIENCE)
@@ -131,13 +131,13 @@ def test_a_frozen_primitive_searches_until_a_way_is_known(quick, monkeypatch):
     later = found[1].env_steps - found[0].env_steps
     assert found[0].env_steps > limited[0].env_steps > later > 0  # afterwards it is one slice
     frozen = {"primitive": "ant-walker", "explore": "archive", "target": (0.0, 16.0)}
-    for asked, slices in ((frozen, way_search.SLICES), ({}, 1)):
-        settings = make_config("ant-maze", "laptop", asked)
-        assert build_algorithm(settings).hyperparameters.search.slices == slices
+    for settings, slices in ((frozen, way_search.SLICES), ({}, 1)):
+        config = make_config("ant-maze", "laptop", settings)
+        assert build_algorithm(config).hyperparameters.search.slices == slices
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.1])
-def test_a_primitive_that_does_not_walk_is_asked_in_every_generation(speed):
+def test_a_primitive_that_does_not_walk_is_asked_again(speed):
     found, _ = searched(speed, 3)
     assert [state.env_steps for state in found] == [number * WALKERS * 5 * 10 for number in (1, 2, 3)]
     assert [len(state.archive.cells) for state in found] == [1, 1, 1]
@@ -155,7 +155,7 @@ def known_way(state, way=((0.0, 0), (3, 0.1), (6, 0), (6, 4))):
 
 
 @pytest.mark.parametrize("estimate", ["episode", "interval"])
-def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
+def test_goals_wander_until_a_way_is_known(estimate):
     algorithm = built(primitive_estimate=estimate)
     state = algorithm.start(3)
     before, after = (
@@ -203,7 +203,7 @@ def test_the_reward_of_training_leads_through_the_way_alone(quick, tmp_path):
         batch.reset(np.array([0]), [0])
         batch.step(np.array([0]), np.zeros((batch.num_episodes, 2)))
         points = [batch.position[0].tolist(), *guide, batch.target[0].tolist()]
-        legs = [math.dist(one, other) for one, other in itertools.pairwise(points)]
+        legs = [math.dist(one, other) for one, other in pairwise(points)]
         skipped = [sum(legs[1:]) + math.dist(points[0], points[1])]
         skipped += [math.dist(points[0], points[i]) + sum(legs[i:]) for i in range(1, len(points))]
         assert min(abs(batch.reward[0] + each) for each in skipped) < 1e-6  # near waypoints are passed at once

@@ -8,7 +8,7 @@ from shes.cli import main
 from shes.cli.command_table import find_command
 from shes.errors import ConfigError, UnknownNameError
 
-GIVEN = {"compare": ("no-run", "no-other"), "experiment": ("ablation",)}
+GIVEN = {"compare": ("no-run", "no-other")}
 """Arguments of a command; of the others, the run `no-run`, which does not exist."""
 
 
@@ -19,8 +19,6 @@ GIVEN = {"compare": ("no-run", "no-other"), "experiment": ("ablation",)}
         ("compare", "seed", -1, "a whole number of at least 0"),
         ("evaluate", "episodes", 0, "a whole number of at least 1"),
         ("evaluate", "seed", -1, "a whole number of at least 0"),
-        ("experiment", "budget", 0.0, "a positive number"),
-        ("experiment", "seeds", 0, "a whole number between 1 and 1000"),
         ("render", "episode", -1, "a whole number of at least 0 and less than 100000"),
         ("render", "episode", 100_000, "a whole number of at least 0 and less than 100000"),
         ("render", "seed", -1, "a whole number of at least 0"),
@@ -52,7 +50,6 @@ def test_a_number_out_of_range_is_refused_alike(capsys, tmp_path, monkeypatch, c
         ("compare", "measure"),
         ("evaluate", "device"),
         ("evaluate", "targets"),
-        ("experiment", "scale"),
         ("export", "format"),
         ("plot", "x"),
         ("render", "camera"),

@@ -131,7 +131,7 @@ def test_a_design_knows_its_levels(name):
 
 
 def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
-    """With noise; in the second lane another member's episodes start after three steps."""
+    """With noise; in the second lane another member's episodes go on after three steps from where they were."""
     of, members, rng = subject(name), [0, 1], np.random.default_rng(4)
     of = replace(of, design=replace(of.design, control_limit=30.0))
     agent, plain = of.agent(members), [of.plain(member) for member in members for _ in range(EPISODES)]
@@ -139,7 +139,10 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
     for step in range(STEPS):
         if step == 3:
             of.start(agent, 1, 2)
+            agent.go_on(1, 2 * INTERVAL, RECORDED[2])
             plain[EPISODES:] = [of.plain(2) for _ in range(EPISODES)]
+            for one in plain[EPISODES:]:
+                one.clock = 2 * INTERVAL
         seen = of.rows(step, members)
         noise = {
             "decision_noise": rng.normal(0, 0.1, (2, EPISODES, of.design.decision_size)).astype(np.float32),
@@ -159,7 +162,7 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
             assert rewards[row] == pytest.approx(one.pay(after[row]), rel=1e-4, abs=1e-4)
             paid.add(round(float(rewards[row]), 3))
             assert agent.goals_reached[row] == one.goals_reached
-    assert agent.clock.tolist() == [STEPS, STEPS - 3]
+    assert agent.clock.tolist() == [STEPS, 2 * INTERVAL + STEPS - 3]
     assert len(paid) > 10 if of.design.intrinsic_level is not None else paid == {0.0}
     assert (sum(one.goals_reached for one in plain) > 0) == (of.design.intrinsic_level is not None)
     for level, moments in enumerate(agent.moments):
@@ -196,7 +199,7 @@ def test_no_bit_depends_on_lanes_company_or_what_was_before(name, episodes):
         assert play(members, delays) == {member: alone[member] for member in members}
 
 
-def test_members_that_share_noise_act_as_with_policies_of_their_own(name):
+def test_members_that_share_noise_act_as_without(name):
     """Two members in a lane: the mean plus and minus the noise."""
     of, sigma = subject(name), 0.2
     levels = levels_of(of.design)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import shes
+from shes.algorithms.evolution import way_search
 from shes.algorithms.registry import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.build import build_algorithm, build_backend
@@ -46,11 +47,13 @@ OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "eval
 
 
 @pytest.fixture(autouse=True)
-def registered():
-    """The example is known while a test of this module runs."""
+def registered(monkeypatch):
+    """The example is known while a test of this module runs, in which searches have short slices."""
+    monkeypatch.setattr(way_search, "SLICE_STEPS", 500)
     runpy.run_path(str(EXAMPLE), run_name="random_search")
     yield
-    ALGORITHMS.pop("random-search", None)
+    for name in ("random-search", "own"):
+        ALGORITHMS.pop(name, None)
 
 
 def tiny(name):
@@ -87,47 +90,36 @@ def test_every_learner_is_tried_here():
     assert tried == set(algorithm_classes())
 
 
-def test_it_starts_by_the_seed_alone(learner):
+def test_it_starts_by_the_seed_with_agents_of_its_design(learner):
     state = learner.start(7)
     assert (state.seed, state.generation, state.env_steps) == (7, 0, 0)
     assert same(learner, state, learner.start(7))
-
-
-def test_its_agents_are_those_of_its_design(learner):
-    parameters = learner.parameters(learner.start(3))
+    parameters = learner.parameters(state)
     assert learner.level_names == learner.design.level_names
     assert tuple(len(level.theta) for level in parameters) == learner.design.dims
     assert tuple(len(level.mean) for level in parameters) == learner.design.observation_sizes
-    kept = learner.without_training(learner.start(3))
-    assert [level.theta.tobytes() for level in learner.parameters(kept)] == [
-        each.theta.tobytes() for each in parameters
-    ]
+    kept = learner.parameters(learner.without_training(state))
+    assert [level.theta.tobytes() for level in kept] == [level.theta.tobytes() for level in parameters]
 
 
 def test_a_generation_depends_on_the_state_alone(learner):
-    """A learner that keeps something beside its state would go on otherwise after a crash."""
+    """A learner that keeps something beside its state, or arrays with objects, would go on otherwise after a crash."""
     first, second, third = reports(learner, learner.start(5), 3)
     assert [each.state.generation for each in (first, second, third)] == [1, 2, 3]
     assert 0 < first.state.env_steps < second.state.env_steps < third.state.env_steps
     assert list(first.columns) == list(third.columns)
     assert not OF_THE_RUN & first.columns.keys()
-    restored = learner.from_arrays({name: array.copy() for name, array in learner.to_arrays(first.state).items()})
-    again = reports(learner, restored, 2)
-    assert same(learner, again[-1].state, third.state)
-    assert [no_times(each.columns) for each in again] == [no_times(each.columns) for each in (second, third)]
-    assert not same(learner, second.state, third.state)
-
-
-def test_its_state_is_arrays_without_objects(learner):
-    (report,) = reports(learner, learner.start(5), 1)
-    arrays = learner.to_arrays(report.state)
+    arrays = learner.to_arrays(first.state)
     assert {"seed", "generation", "env_steps"} <= arrays.keys()
     assert all(isinstance(array, np.ndarray) and not array.dtype.hasobject for array in arrays.values())
-    assert same(learner, report.state, learner.from_arrays(arrays))
     for name in arrays:
         broken = SimpleNamespace(arrays={key: array for key, array in arrays.items() if key != name})
         with pytest.raises(CheckpointError, match=r"^a\.npz (is not|has) "):
             restore(broken, learner.from_arrays, Path("a.npz"))
+    again = reports(learner, learner.from_arrays({name: array.copy() for name, array in arrays.items()}), 2)
+    assert same(learner, again[-1].state, third.state)
+    assert [no_times(each.columns) for each in again] == [no_times(each.columns) for each in (second, third)]
+    assert not same(learner, second.state, third.state)
 
 
 @pytest.mark.parametrize("name", OVER_LEARNERS)
@@ -141,8 +133,7 @@ def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
     evaluations = [shes.evaluate(whole, episodes=3, num_workers=workers).summary() for workers in (1, 2)]
     assert evaluations[0] == evaluations[1]
     agent = shes.load(whole)
-    action = agent.act(np.zeros(agent.observation_size))
-    assert np.isfinite(action).all()
+    assert np.isfinite(agent.act(np.zeros(agent.observation_size))).all()
 
 
 @pytest.mark.parametrize(
@@ -170,8 +161,7 @@ class Vague(Settings):
     tries: int
 
 
-def test_a_section_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
-    monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
+def test_a_section_of_an_algorithm_has_a_name_of_its_own():
     example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
     for section in ("run", "body", "values"):
         taken = type("Own", (example,), {"sections": {section: Search}})
@@ -184,12 +174,10 @@ def test_a_section_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatc
     shes.register_algorithm("own", type("Own", (example,), {"sections": {"evolution": Search}}))
 
 
-def test_the_taken_sections_are_those_of_every_run_and_the_attributes_of_its_settings():
-    attributes = {name for name in dir(TrainConfig) if not name.startswith("_")}
-    sections = (
-        make_config("point-gather", "smoke", {"algorithm": "td3"}).sections.keys() - ALGORITHMS["td3"].sections.keys()
-    )
-    assert attributes | sections | {"sections", "body"} == TAKEN_SECTIONS
+def test_the_taken_sections_are_those_of_every_run():
+    config = make_config("point-gather", "smoke", {"algorithm": "td3"})
+    attributes = {name for name in (*dir(TrainConfig), *vars(config)) if not name.startswith("_")}
+    assert (attributes | {"body"}) - ALGORITHMS["td3"].sections.keys() == TAKEN_SECTIONS
 
 
 def test_an_unknown_algorithm_is_told_how_to_be_known():

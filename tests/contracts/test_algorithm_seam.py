@@ -31,18 +31,20 @@ IMPORTS = {"cli/bench.py"}
 SECTIONS = "|".join(sorted({section for each in algorithm_classes() for section in each.sections}))
 
 
-def test_only_the_benchmarks_import_from_an_algorithm():
+def test_no_module_above_knows_an_algorithm():
+    """Not by an import, nor by a section of its settings, nor by comparing its name."""
     own = re.compile(r"shes\.algorithms\.(evolution|hiro)|from shes\.algorithms import (evolution|hiro)")
-    assert {name for name, text in SOURCES.items() if own.search(text)} == IMPORTS
-
-
-def test_no_module_above_names_a_section_of_an_algorithm():
+    assert {name for name, text in SOURCES.items() if own.search(text)} <= IMPORTS
     section = re.compile(
         rf"""\b(config|settings|source|sections)(\.|\[["'])({SECTIONS})\b|["']({SECTIONS})["'] (not )?in \b"""
     )
-    found = {name: section.search(text)[0] for name, text in SOURCES.items() if section.search(text)}
-    assert found == {}
+    assert {name: section.search(text)[0] for name, text in SOURCES.items() if section.search(text)} == {}
     assert not re.search(rf"^    ({SECTIONS}): ", SOURCES["runs/config.py"], re.MULTILINE)
+    names = {"shes", "es", "hiro", "td3"}
+    assert {name for name, text in SOURCES.items() if names & set(_compared(ast.parse(text)))} == set()
+    words = {word for preset in PRESETS.values() for word in (*preset.values, *preset.per_environment)}
+    assert not words & {"algorithm", "sigma", "population_size", "actor_learning_rate"}
+    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/sections.py"])
 
 
 def _compared(tree):
@@ -51,17 +53,6 @@ def _compared(tree):
         if isinstance(node, ast.Compare):
             yield from (part.value for each in (node.left, *node.comparators) for part in ast.walk(each)
                         if isinstance(part, ast.Constant))  # fmt: skip
-
-
-def test_no_module_above_compares_the_name_of_an_algorithm():
-    own = {"shes", "es", "hiro", "td3"}
-    assert {name for name, text in SOURCES.items() if own & set(_compared(ast.parse(text)))} == set()
-
-
-def test_no_name_of_an_algorithm_is_in_a_preset_or_a_text_of_a_setting_above_it():
-    words = {word for preset in PRESETS.values() for word in (*preset.values, *preset.per_environment)}
-    assert not words & {"algorithm", "sigma", "population_size", "actor_learning_rate"}
-    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/sections.py"])
 
 
 # An algorithm from outside.
@@ -76,7 +67,7 @@ class OwnSettings(Settings):
     many: Annotated[int, Ge(1)] = 10
     """A larger number."""
     primitive: float = 0.5
-    """No level, although it has the name of one."""
+    """No level."""
 
 
 class Alone(Algorithm):
@@ -113,18 +104,22 @@ class Own(Alone):
 
 
 @pytest.fixture
-def own(monkeypatch):
-    monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
+def own():
+    """An algorithm from outside; what a test registers is forgotten after it."""
+    before = set(ALGORITHMS)
     shes.register_algorithm("own", Own)
+    yield
+    for name in set(ALGORITHMS) - before:
+        del ALGORITHMS[name]
 
 
 def test_its_check_is_that_of_a_configuration(own):
     values = {"env": "point-gather", "algorithm": "own"}
+    for make in (lambda: TrainConfig.of(**values, few=10),
+                 lambda: TrainConfig.from_dict({"run": values, "evolution": {"few": 10}})):  # fmt: skip
+        with pytest.raises(ConfigError, match="few must be less than many"):
+            make()
     assert TrainConfig.of(**values, few=9).evolution.few == 9
-    with pytest.raises(ConfigError, match="few must be less than many"):
-        TrainConfig.of(**values, few=10)
-    with pytest.raises(ConfigError, match="few must be less than many"):
-        TrainConfig.from_dict({"run": values, "evolution": {"few": 10}})
     with pytest.raises(ConfigError, match="few has no effect with many 3"):
         make_config("point-gather", "laptop", {"algorithm": "own", "few": 1, "many": 3})
     assert make_config("point-gather", "smoke", {"algorithm": "own", "many": 3}).evolution.few == 1
@@ -148,43 +143,32 @@ def test_a_preset_is_unknown_before_its_algorithm_is_registered():
         make_config("point-gather", "own-paper")
 
 
-def test_its_first_sentence_is_in_the_help(own):
+def test_its_help_its_levels_and_its_generations_are_its_own(own):
     text = known_settings()["algorithm"].text
     assert "; own: Learns in its own way." in text
     assert all(f"{name}: {cls.__doc__.partition('.')[0]}" in text for name, cls in ALGORITHMS.items())
+    assert set(transferred_levels()) == {"controller", "primitive"}
+    assert make_config("point-gather", "smoke", {"algorithm": "own", "primitive": 2}).evolution.primitive == 2.0
+    lengths = {"own": 7, "td3": 500, "es": 16 * 50}
+    for name, steps in lengths.items():
+        config = make_config("point-gather", "smoke", {"algorithm": name})
+        assert find_algorithm(name, sets_goals=False).steps_per_generation(config) == steps
 
 
 def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
+    """A class that stands in is checked as well; it may be a subclass."""
     assert [find_algorithm("own", sets_goals=sets_goals) for sets_goals in (False, True)] == [Own, Alone]
     assert TrainConfig.of(env="point-flagrun", algorithm="own").level_names == ("primitive",)
     assert {Own, Alone} <= set(algorithm_classes())
     with pytest.raises(ConfigError, match=r"hiro has nothing to learn\. Set --algorithm to shes, .*own"):
         TrainConfig.of(env="point-flagrun", algorithm="hiro")
-
-
-def test_a_class_that_stands_in_is_checked_as_well(own):
     alone = type("Taken", (Alone,), {"sections": {"run": OwnSettings}})
     with pytest.raises(ConfigError, match="Taken has a section 'run', a name that is taken"):
         shes.register_algorithm("other", type("Other", (Own,), {"without_controller": alone}))
-
-
-def test_a_subclass_may_stand_in(own):
     whole = type("Whole", (Own,), {})
     whole.without_controller = type("Part", (whole,), {"level_names": ("primitive",)})
     shes.register_algorithm("whole", whole)
     assert TrainConfig.of(env="point-flagrun", algorithm="whole").level_names == ("primitive",)
-
-
-def test_a_setting_of_it_is_no_level_of_another_run(own):
-    assert set(transferred_levels()) == {"controller", "primitive"}
-    config = make_config("point-gather", "smoke", {"algorithm": "own", "primitive": 2})
-    assert config.evolution.primitive == 2.0
-
-
-def test_it_is_asked_for_the_length_of_a_generation(own):
-    for name, length in {"own": 7, "td3": 500, "es": 16 * 50}.items():
-        config = make_config("point-gather", "smoke", {"algorithm": name})
-        assert config.algorithm.steps_per_generation(config) == length
 
 
 # Parts of an evolution strategy that were once branches of a function.

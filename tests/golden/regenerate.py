@@ -28,7 +28,6 @@ EVERY = {
     "sigma": 0.07,
     "learning_rate": 0.02,
     "weight_decay": 0.005,
-    "rank_ties": "index",
     "controller_interval": 10,
     "noise_table_size": 20_000,
 }
@@ -70,7 +69,9 @@ def golden_run(name, folder, change=0.0):
         replace(level, theta=level.theta * (1 + np.float32(change) * _normal(number, len(level.theta))))
         for number, level in enumerate(state.levels)
     )
-    state, settings = replace(state, levels=levels), learner.hyperparameters
+    settings = learner.hyperparameters
+    rules = tuple(replace(rule, holds_when_tied=False) for rule in settings.updates)
+    state, settings = replace(state, levels=levels), replace(settings, updates=rules)
     with SerialBackend(partial(RolloutWorker, replace(learner.plan(), noise_table=table.path))) as backend:
         reports = itertools.islice(evolve(state, settings, table, backend), GENERATIONS)
         return {"generations": [_numbers(report) for report in reports]}

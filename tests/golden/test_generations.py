@@ -8,7 +8,7 @@ from tests.golden.regenerate import GENERATIONS, RUNS, golden_file, golden_run
 
 WHAT_TO_DO = (
     "{place} is {value}, the golden file says {golden}. If nothing was meant to change, the last change has a fault. "
-    "If numbers were meant to, run `python -m tests.golden.regenerate {name}`; CHANGELOG.md says 'changes numbers'."
+    "If they were meant to, run `python -m tests.golden.regenerate {name}`, and say 'changes numbers' in CHANGELOG.md."
 )
 
 
@@ -42,7 +42,7 @@ def test_a_short_run_gives_the_golden_numbers(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_golden_runs_see_a_change_of_a_thousandth_and_not_rounding(name, tmp_path):
+def test_golden_runs_see_a_thousandth_and_not_rounding(name, tmp_path):
     """Ten times the rounding of a float32 must not show: else choose another seed, two fitnesses are nearly equal."""
     assert [place for place, *_, is_close in _compared(name, tmp_path, change=1e-6) if not is_close] == []
     assert sum(not is_close for *_, is_close in _compared(name, tmp_path, change=1e-3)) > 20

@@ -86,9 +86,8 @@ def write(variant):
     lines = [f' "{key}": {json.dumps(trajectory[key])},' for key in trajectory if key != "observations"]
     rows = [",\n  ".join(json.dumps(row) for row in episode) for episode in trajectory["observations"]]
     episodes = "],\n [".join(f"\n  {episode}" for episode in rows)
-    golden_file(variant).write_text(
-        "{\n" + "\n".join(lines) + f'\n "observations": [\n [{episodes}]\n ]\n' + "}\n", encoding="utf-8"
-    )
+    text = "{\n" + "\n".join(lines) + f'\n "observations": [\n [{episodes}]\n ]\n' + "}\n"
+    golden_file(variant).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -125,7 +125,7 @@ def check_against_textbook(table, settings, generations=5, diverging=(), **optio
     )  # fmt: skip
     for generation, report in enumerate(reports):
         book.sigma, book.rate = settings.sigma.value(generation), settings.learning_rate.value(generation)
-        noise, episodes = noise_of(report, table), settings.episodes(generation)
+        noise, episodes = noise_of(report, table), settings.episodes_per_policy
         paid = np.array([formula(*pair) for pair in book.candidates(noise)]).T[:, :, None]
         paid = paid + np.arange(episodes) - (episodes - 1) / 2
         for level in paid:  # a divergence counts as the worst of the others

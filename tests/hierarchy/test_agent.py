@@ -7,7 +7,6 @@ import pytest
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.moments import Moments
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.hierarchy import designs
@@ -63,20 +62,6 @@ def test_a_goal_is_reached_once_and_the_next_one_again():
         act(agent, (3, 0))
     agent.intrinsic_reward(np.array([[6.0, 0.0]]))
     assert [*counts, agent.goals_reached.tolist()] == [[0], [1], [1], [1], [2]]
-
-
-def test_parameters_come_with_the_normalisation_of_their_statistics():
-    statistics = ObservationStatistics.empty(2).merge(4, np.array([8.0, 0.0]), np.array([32.0, 0.0]))
-    level = LevelParameters.of(np.ones(3, np.float32), statistics)
-    assert level.mean.tolist() == [2, 0]
-    assert level.inverse_std == pytest.approx([1 / 2, 10])  # variance 8 - 4; the floor of 0.01
-
-
-def test_counts_of_moments_are_64_bit():
-    moments = Moments.zeros(2, 1)
-    moments.count[:] = 2**40
-    moments.add(np.array([1]), np.array([[1.0]]))
-    assert moments.count.tolist() == [2**40, 2**40 + 1]
 
 
 @pytest.mark.parametrize("change", ["mirror", "turn"])

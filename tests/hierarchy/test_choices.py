@@ -103,7 +103,7 @@ def test_no_bit_depends_on_how_many_there_are(function, name, arguments, second)
 
 
 @pytest.mark.parametrize("name", outputs.CONTROLLER_OUTPUTS)
-def test_a_networks_float32_and_what_is_no_number_pass_as_they_are(name):
+def test_float32_and_what_is_no_number_pass_as_they_are(name):
     output = np.tanh(np.random.default_rng(4).normal(size=(50, outputs.CONTROLLER_OUTPUTS[name].size)))
     narrow = output.astype(np.float32)
     assert decide(name, narrow, np.zeros(50)).tobytes() == decide(name, narrow.astype(float), np.zeros(50)).tobytes()
@@ -136,62 +136,37 @@ def test_what_a_turned_world_changes(turn, heading, x, y):
 # Worked out by hand: signs and units, in which two formulas may agree and be wrong.
 
 
-@pytest.mark.parametrize(
-    ("vector", "heading", "expected"),
-    [
+def test_goals_by_hand():
+    for vector, heading, expected in (
         ((0, 4), 0, (1, 0, 0.004)),  # to the left
         ((-2, 0), 0, (0, -1, 0.002)),  # behind
         ((3, 0), np.pi / 2, (-1, 0, 0.003)),  # facing +y: to the right
-        ((3, 4), np.pi / 2, (-0.6, 0.8, 0.005)),
         ((-1, -1), np.pi, (HALF, HALF, math.sqrt(2) / 1000)),  # facing -x: ahead to the left
-    ],
-)
-def test_the_angle_of_a_goal_by_hand(vector, heading, expected):
-    angle, metres = (encode(name, [vector], np.array([heading]))[0] for name in ("angle", "angle_metres"))
-    assert angle == pytest.approx(expected, abs=1e-12)
-    assert metres.tolist() == [*angle[:2].tolist(), pytest.approx(1000 * angle[2])]
+    ):
+        angle, metres = (encode(name, [vector], np.array([heading]))[0] for name in ("angle", "angle_metres"))
+        assert angle == pytest.approx(expected, abs=1e-12)
+        assert metres.tolist() == [*angle[:2].tolist(), pytest.approx(1000 * angle[2])]
 
 
-@pytest.mark.parametrize(
-    ("largest", "x", "y"),
-    [
-        (0, -HALF, -HALF), (1, 0, -1), (2, HALF, -HALF), (3, 1, 0), (4, HALF, HALF), (5, 0, 1), (6, -HALF, HALF),
-        (7, -1, 0),
-    ],
-)  # fmt: skip
-def test_the_directions_of_one_hot_outputs_by_hand(largest, x, y):
-    output = np.full((2, 8), -1.0)
-    output[:, largest] = 0.75, 0.1
-    ahead, turned = outputs.OneHotOutput().vector(output, np.array([0, np.pi / 2]), 4.0)
-    assert ahead == pytest.approx([3 * x, 3 * y], abs=1e-12)
-    assert turned == pytest.approx([-y, x], abs=1e-12)  # at least 1 m
+def test_one_hot_outputs_by_hand():
+    """The authors add 1/8 to the angle in radians (`onehot_forward` in policy.jl, whose bins count from 1)."""
+    middle = [(-HALF, -HALF), (0, -1), (HALF, -HALF), (1, 0), (HALF, HALF), (0, 1), (-HALF, HALF), (-1, 0)]
+    ahead = outputs.OneHotOutput().vector(1.75 * np.eye(8) - 1, np.zeros(8), 4.0)
+    turned = outputs.OneHotOutput().vector(1.1 * np.eye(8) - 1, np.full(8, np.pi / 2), 4.0)
+    assert ahead == pytest.approx(3 * np.array(middle), abs=1e-12)
+    assert turned == pytest.approx(np.array(middle)[:, ::-1] * [-1, 1], abs=1e-12)  # at least 1 m
+    for number, (x, y) in enumerate(ahead, start=1):
+        authors = number * (2 * math.pi / 8) - math.pi + 1 / 8
+        assert math.remainder(authors - math.atan2(y, x), 2 * math.pi) == pytest.approx(1 / 8)
 
 
-def test_the_authors_add_an_eighth_of_a_radian():
-    """`onehot_forward` in policy.jl, whose bins count from 1; with ten bins 108 degrees stay free."""
-    angles = [number * (2 * math.pi / 8) - math.pi + 1 / 8 + 0.4 for number in range(1, 9)]
-    vectors = outputs.OneHotOutput().vector(np.eye(8), np.full(8, 0.4), 4.0)
-    for angle, (x, y) in zip(angles, vectors, strict=True):
-        assert math.remainder(angle - math.atan2(y, x), 2 * math.pi) == pytest.approx(1 / 8)
-
-
-@pytest.mark.parametrize(
-    ("left", "start", "expected"),
-    [(4, 4, 0), (3, 4, 0.25), (12, 4, -2), (1, 4, 0.75), (0.999, 4, 1.75025), (0, 4, 2), (0.4, 0.2, 0)],
-)
-def test_the_progress_reward_by_hand(left, start, expected):
+def test_rewards_by_hand():
     away = np.zeros((1, 2))
-    paid = rewards.ProgressReward()(np.array([left], float), np.array([start], float), away, away)
-    assert paid == pytest.approx([expected], abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("moved", "way", "expected"),
-    [((20, 0), (4, 0), 1), ((-1, 0), (4, 0), -1), ((1, 1), (0, -2), -HALF), ((1e-170, 0), (1e-170, 1e-170), HALF)],
-)
-def test_the_cosine_reward_by_hand(moved, way, expected):
-    assert pay("cosine", np.array([moved]), np.array([way])).tolist() == [pytest.approx(expected, abs=1e-15)]
-    assert pay("cosine", np.array([moved]), np.zeros((1, 2))).tolist() == [0]
+    for left, start, expected in ((4, 4, 0), (3, 4, 0.25), (12, 4, -2), (1, 4, 0.75), (0.999, 4, 1.75025), (0, 4, 2)):
+        paid = rewards.ProgressReward()(np.array([left], float), np.array([start], float), away, away)
+        assert paid == pytest.approx([expected], abs=1e-12)
+    for moved, way, expected in (((20, 0), (4, 0), 1), ((1, 1), (0, -2), -HALF), ((1e-170, 0), (1e-170,) * 2, HALF)):
+        assert pay("cosine", np.array([moved]), np.array([way])).tolist() == [pytest.approx(expected, abs=1e-15)]
 
 
 @given(angle=st.floats(-np.pi, np.pi), length=st.floats(1e-6, 1e6), factor=st.floats(1e-6, 1e6))

@@ -4,13 +4,14 @@ The device is a stand-in, `strict_arrays`: it refuses what CuPy refuses. Weights
 so that a matmul may round differently: numbers agree to a tolerance, counts exactly.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
 import pytest
 
 from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable
@@ -100,7 +101,7 @@ def assert_same(found, expected):
         ("gather", 3, 3),  # a population that does not fit goes in waves
     ],
 )
-def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name, lanes, episodes):
+def test_a_device_gives_the_cpus_numbers_with_two_waits_a_step(name, lanes, episodes):
     found, waits = run(name, DeviceSimulator, lanes, strict_xp, episodes)
     assert_same(found, run(name, CpuSimulator, 8, episodes=episodes)[0])
     assert waits.min() == np.median(waits) == 2  # more where episodes ended
@@ -141,25 +142,10 @@ def test_the_noise_table_has_one_copy_on_a_device():
     assert on_device.tobytes() == weighted_noise_sum(table, index, weights, 300).tobytes()
 
 
-class Worker:
-    """Runs whole episodes and branches here, on the CPU or on the device."""
+class DevicePlan(WorkerPlan):
+    """A plan whose simulators lie on the stand-in for a device."""
 
-    def __init__(self, plan, table, simulator):
-        self.plan, self.table, self.simulator = plan, table, simulator
-
-    def receive(self, state):
-        self.generation = state
-
-    def close(self):
-        pass
-
-    def run(self, work, share):
-        plan, of = self.plan, self.generation
-        design = plan.branch_design if of.branch_steps and plan.branch_design is not None else plan.design
-        make_batch = lambda n: plan.env.make(n, plan.training, self.simulator)  # noqa: E731 - a line for a call
-        horizon = of.branch_steps or plan.horizon
-        rollout = Rollout(design, make_batch, 8, of.rows_per_lane, horizon, of.members_per_lane)
-        return rollout.run(iter(work), of, self.table)
+    simulator = DeviceSimulator
 
 
 BRANCHED = {"primitive_estimate": "interval", "primitive_view": "egocentric", "controller_interval": 3}
@@ -176,10 +162,10 @@ BRANCHED = {"primitive_estimate": "interval", "primitive_view": "egocentric", "c
 def test_generations_on_a_device_are_those_of_the_cpu(env, settings):
     """The states that the second one begins with come from the first one's device."""
     runs, learner = [], make(env, settings)
-    for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
-        table = learner.table.on(xp)
-        backend = SerialBackend(partial(Worker, learner.plan(), table, simulator))
-        reports = evolve(learner.start(1), learner.hyperparameters, table, backend)
+    for plan_class, xp in ((WorkerPlan, np), (DevicePlan, strict_xp)):
+        plan = plan_class(**{field.name: getattr(learner.plan(), field.name) for field in fields(WorkerPlan)})
+        backend = SerialBackend(partial(RolloutWorker, plan))
+        reports = evolve(learner.start(1), learner.hyperparameters, learner.table.on(xp), backend)
         runs.append([next(reports) for _ in range(2)])
     for mine, theirs in zip(*runs, strict=True):
         for level, other in zip(mine.state.levels, theirs.state.levels, strict=True):

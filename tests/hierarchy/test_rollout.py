@@ -164,7 +164,7 @@ def test_members_that_share_noise_do_as_they_would_alone():
         assert together.returns[:, m] == pytest.approx(alone.returns[:, 0], rel=1e-4, abs=1e-4)
 
 
-def test_tasks_are_taken_when_a_lane_is_free_and_given_back_at_once():
+def test_tasks_are_taken_when_a_lane_is_free():
     taken, seen, of = [], [], {**TRAINING, "episodes_per_policy": 1}
     ends = [make_seed(), *[make_seed(terminates_after=2)] * 3]
 
@@ -224,7 +224,7 @@ def test_a_bad_policy_of_a_group_is_named_by_its_member():
         results_of(rollout_of(2, of=GROUPS), [replace(group, slots=(2,), seeds=group.seeds[2:3])], generation)
 
 
-def test_an_observation_of_nan_is_refused_without_blaming_parameters():
+def test_an_observation_of_nan_does_not_blame_parameters():
     def on_step(task, *_):
         task.observes_nan[4] = task.age[4] == 6
 

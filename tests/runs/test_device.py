@@ -55,7 +55,7 @@ def stand_in(monkeypatch):
 
     monkeypatch.setattr(shes.runs.build, "simulator_factory", lambda *_: CpuSimulator)
     monkeypatch.setattr(shes.algorithms.worker, "simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr(shes.algorithms.worker.RolloutWorker, "_chunk", lambda *_: 8)
+    monkeypatch.setattr(shes.algorithms.worker.RolloutWorker, "_most_lanes", lambda *_: 8)
     monkeypatch.setattr(shes.algorithms.worker, "WarpDevice", Device)
     monkeypatch.setattr(shes.runs.provenance, "WarpDevice", Device)
     monkeypatch.setattr(shes.algorithms.problem.Problem, "xp", np)

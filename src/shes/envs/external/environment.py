@@ -103,9 +103,20 @@ class ExternalEnvironment:
     def measured_bytes(self) -> int:
         """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
         before = resident_memory()
-        with closing(self.make_one()) as env, self.explained("reset"):
-            env.reset(seed=0)
+        env = self.make_one()
+        try:
+            with self.explained("reset"):
+                env.reset(seed=0)
             return max(0, resident_memory() - before)
+        finally:
+            self.close_one(env)
+
+    def close_one(self, env: Any) -> None:
+        """Close an environment; an error of its own is logged, because nothing depends on it any more."""
+        try:
+            env.close()
+        except Exception as error:  # noqa: BLE001 - of the user's code
+            _LOG.warning("%s cannot be closed: %s: %s", self.name, type(error).__name__, error)
 
     @contextmanager
     def explained(self, action: str) -> Iterator[None]:
@@ -261,7 +272,4 @@ class ExternalTask(EpisodeBatch):
         envs = list(filter(None, self._envs))
         self._envs = [None] * self.num_episodes
         for env in envs:
-            try:
-                env.close()
-            except Exception as error:  # noqa: BLE001 - of the user's code; nothing depends on it any more
-                _LOG.warning("%s cannot be closed: %s: %s", self.environment.name, type(error).__name__, error)
+            self.environment.close_one(env)
