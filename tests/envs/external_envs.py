@@ -129,7 +129,7 @@ class Body(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        mujoco.mj_resetData(self.data.model, self.data)
+        self.data.qvel[:] = 0  # MuJoCo's own reset would forget its warnings, too
         self.data.qpos[:] = self.np_random.uniform(-1, 1, self.data.model.nq)
         mujoco.mj_normalizeQuat(self.data.model, self.data.qpos)
         return np.zeros(1, np.float32), {}

@@ -50,10 +50,6 @@ class WarpSimulator(Simulator):
             device: `warp-cpu` or `cuda`.
             nconmax: Size of the contact buffer per simulation, on average; by default from the model's geoms.
             njmax: Size of each simulation's constraint buffer, in rows; by default from the model's geoms and limits.
-
-        Raises:
-            ConfigError: mujoco-warp does not support the model, or there is no GPU.
-            MissingExtraError: mujoco-warp or CuPy is not installed.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
