@@ -16,8 +16,7 @@ from shes.envs.registry import ENVIRONMENTS
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
-from shes.sim.warp import WarpSimulator
-from shes.sim.warp_buffers import default_sizes
+from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
 from tests.contracts.variants import VARIANTS
 from tests.sim.ants import INTEGRATORS, ant_model
@@ -348,7 +347,7 @@ def test_it_says_nothing_on_stdout(tmp_path):
     """By default Warp prints messages to stdout, where the command line prints its results."""
     program = """
 import mujoco, numpy as np
-from shes.sim.warp import WarpSimulator
+from shes.sim.warp import WarpSimulator, default_sizes
 model = mujoco.MjModel.from_xml_string(
     '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
 )
