@@ -46,10 +46,16 @@ class Loud(SerialBackend):
         self.loudness = loudness
 
 
-def test_options_are_keyword_arguments_and_change_no_number(monkeypatch):
-    assert all(each.has(Execution) for cls in BACKENDS.values() for each in setting_fields(cls.Options).values())
-    monkeypatch.setattr(BACKENDS, "_entries", dict(BACKENDS))
+@pytest.fixture
+def loud():
+    """A registered backend with an option."""
     BACKENDS.register("loud", Loud)
+    yield
+    del BACKENDS["loud"]
+
+
+def test_options_are_keyword_arguments_and_change_no_number(loud):
+    assert all(each.has(Execution) for cls in BACKENDS.values() for each in setting_fields(cls.Options).values())
     config = make_config("point-gather", "smoke", {"backend": "loud", "loudness": 0.75})
     with build_backend(config, build_algorithm(config).plan()) as backend:
         assert backend.loudness == 0.75
