@@ -18,9 +18,9 @@ from time import perf_counter
 
 from run import write_csv
 
-from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.roll_out import roll_out_tasks
 from shes.cli.bench import evolution_strategy
+from shes.evolution.algorithm import evolve
+from shes.rollout.roll_out import roll_out_tasks
 from shes.runs.build import build_backend
 from shes.runs.make_config import make_config
 

@@ -13,12 +13,12 @@ from statistics import NormalDist
 import numpy as np
 from scipy import stats
 
-from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task import SimulatorFactory
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
-from shes.hierarchy.rollout import Rollout
+from shes.evolution.strategies import EvolutionAlgorithm
+from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
+from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
-from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.tasks.task_options import TaskOptions
+from shes.evolution.algorithm import evolve
+from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config

@@ -32,18 +32,18 @@ from statistics import harmonic_mean
 from time import perf_counter, process_time
 from typing import Any
 
-from shes.algorithms.evolution.algorithm import GenerationReport, evolve
-from shes.algorithms.evolution.estimates import Draws
-from shes.algorithms.evolution.strategies import EvolutionAlgorithm
-from shes.algorithms.roll_out import roll_out_tasks
-from shes.algorithms.worker import RolloutWorker
 from shes.backends.backend import Backend
 from shes.backends.serial import SerialBackend
 from shes.cli.bench import evolution_strategy
-from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
-from shes.es.level import TrainState
-from shes.hierarchy.episodes import EpisodeTask
+from shes.evolution.algorithm import GenerationReport, evolve
+from shes.evolution.estimates import Draws
+from shes.evolution.state import TrainState
+from shes.evolution.strategies import EvolutionAlgorithm
+from shes.machine import core_numbers, on_one_core
+from shes.rollout.episodes import EpisodeTask
+from shes.rollout.roll_out import roll_out_tasks
+from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config

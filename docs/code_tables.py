@@ -16,13 +16,13 @@ import griffe  # a dependency of mkdocstrings-python
 from markdown_table import table
 
 import shes
-from shes.algorithms.presets import PRESETS
-from shes.algorithms.registry import ALGORITHMS
+from shes.algorithms.contract import PRESETS
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
+from shes.runs.named_algorithms import ALGORITHMS
 from shes.settings import Unasked, setting_fields
 
 _SRC = Path(__file__).parents[1] / "src"

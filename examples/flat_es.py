@@ -10,7 +10,7 @@ from shes.envs.observation_spec import bounds
 from shes.envs.registry import make_task
 from shes.envs.tasks.task import Task
 from shes.es import EvolutionStrategy
-from shes.policies.mlp import MLP
+from shes.agents.mlp import MLP
 
 POLICIES, EPISODES, STEPS, GENERATIONS = 60, 2, 100, 30
 

@@ -6,7 +6,7 @@ It rewards metres in the direction of the goal, also beyond the goal.
 import numpy as np
 
 import shes
-from shes.hierarchy.rewards import PrimitiveReward
+from shes.agents.rewards import PrimitiveReward
 from shes.types import F64Array
 
 

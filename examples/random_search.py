@@ -9,9 +9,9 @@ import numpy as np
 
 import shes
 from shes.algorithms.contract import Algorithm, Report
-from shes.algorithms.roll_out import roll_out_tasks
+from shes.rollout.roll_out import roll_out_tasks
 from shes.es.level import LevelParameters
-from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.rollout.episodes import EpisodeTask, Generation
 from shes.settings import Ge, Gt, Settings
 
 

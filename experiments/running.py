@@ -25,8 +25,8 @@ from experiments.design import ALONE, Experiment, Run
 from experiments.results import read_results, read_summary, write_summary, write_tables
 from experiments.summary import summarise
 from shes.backends.named_backends import BACKENDS
-from shes.cores import core_numbers
 from shes.errors import RunFolderError, ShesError, WorkerError
+from shes.machine import core_numbers
 from shes.runs.comparison import check_scipy
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs, differing

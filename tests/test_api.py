@@ -34,7 +34,7 @@ def test_importing_shes_loads_what_gymnasium_needs_and_a_worker_no_face():
         "tensorboardX",
         "tyro",
     }
-    alone, worker, *face = loaded_by("import shes", "import shes.algorithms.worker", "shes.load", "shes.train")
+    alone, worker, *face = loaded_by("import shes", "import shes.rollout.worker", "shes.load", "shes.train")
     assert alone & heavy <= {"gymnasium", "numpy"}
     assert worker & heavy <= {"gymnasium", "mujoco", "numpy"}
     for found in face:

@@ -5,9 +5,8 @@ import resource
 
 import pytest
 
-from shes import control_groups, free_space
-from shes.cores import core_numbers, num_cores
-from shes.free_space import free_memory
+from shes import machine
+from shes.machine import core_numbers, free_memory, num_cores
 
 GIB = 2**30
 
@@ -17,11 +16,11 @@ def machine(tmp_path, monkeypatch):
     """A machine with 8 GiB of available memory and 8 cores, and files to change it."""
     (tmp_path / "meminfo").write_text("MemTotal: 16777216 kB\nMemAvailable:    8388608 kB\n")
     (tmp_path / "own").write_text("5:cpu,cpuacct:/job\n4:memory:/job\n1:name=x:/other\n0::/jobs/7\n")
-    monkeypatch.setattr(free_space, "_MEMINFO", tmp_path / "meminfo")
-    monkeypatch.setattr(control_groups, "_OWN_GROUPS", tmp_path / "own")
-    monkeypatch.setattr(control_groups, "_ROOT", tmp_path / "groups")
+    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(machine, "_OWN_GROUPS", tmp_path / "own")
+    monkeypatch.setattr(machine, "_ROOT", tmp_path / "groups")
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    monkeypatch.setattr("shes.cores.core_numbers", lambda: list(range(8)))
+    monkeypatch.setattr("shes.machine.core_numbers", lambda: list(range(8)))
     return tmp_path
 
 

@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
-from shes.free_space import free_disk
+from shes.machine import free_disk
 
 
 def test_a_limit_of_the_address_space_counts():
-    code = "from shes.free_space import free_memory; print(free_memory())"
+    code = "from shes.machine import free_memory; print(free_memory())"
     command = ["bash", "-c", f"ulimit -v 4000000; exec {sys.executable} -c '{code}'"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert int(done.stdout) <= 4_000_000 * 1024

@@ -9,9 +9,9 @@ from typing import Annotated, ClassVar
 import pytest
 
 import shes
+from shes.agents.rewards import PRIMITIVE_REWARDS, PrimitiveReward, make_primitive_reward
 from shes.cli import command_table, commands
 from shes.errors import ConfigError, UnknownNameError
-from shes.hierarchy.rewards import PRIMITIVE_REWARDS, PrimitiveReward, make_primitive_reward
 from shes.options import TAKEN, make, subclass_of, with_options
 from shes.registry import Registry
 from shes.runs.config import TrainConfig

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from shes.agents import goals, outputs, rewards
 from shes.cli import command_table
-from shes.hierarchy import goals, outputs, rewards
 from shes.runs import export
 
 ROOT = Path(__file__).parents[1]

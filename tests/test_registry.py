@@ -1,12 +1,12 @@
 import pytest
 
+from shes.agents.goals import GOAL_ENCODINGS
+from shes.agents.outputs import CONTROLLER_OUTPUTS
+from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.hierarchy.goals import GOAL_ENCODINGS
-from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
-from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.registry import Registry, check_class
 
 REGISTRIES = [

@@ -5,10 +5,10 @@ import math
 import pytest
 
 from benchmarks import speedup
-from shes.cores import core_numbers
 from shes.errors import ConfigError
+from shes.machine import core_numbers
 from shes.runs.make_config import make_config
-from tests.hierarchy.made_up import make_task
+from tests.rollout.made_up import make_task
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "noise_table_size": 1_000_000}
 

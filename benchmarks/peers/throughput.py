@@ -53,8 +53,8 @@ def make_env() -> Any:
 
 def shes_speeds(cores: int, seconds: float) -> list[float]:
     """Return the steps per second of generations of SHES."""
-    from shes.algorithms.evolution.algorithm import evolve
     from shes.cli.bench import evolution_strategy
+    from shes.evolution.algorithm import evolve
     from shes.runs.build import build_backend
     from shes.runs.make_config import make_config
 

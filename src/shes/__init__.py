@@ -20,15 +20,15 @@ from shes.errors import ConfigError
 if TYPE_CHECKING:
     __version__: str
     from shes import es
-    from shes.algorithms.registry import register_algorithm
+    from shes.agents.goals import register_goal_encoding
+    from shes.agents.outputs import register_controller_output
+    from shes.agents.rewards import register_primitive_reward
     from shes.envs.registry import register_environment, register_external
-    from shes.hierarchy.goals import register_goal_encoding
-    from shes.hierarchy.outputs import register_controller_output
-    from shes.hierarchy.rewards import register_primitive_reward
     from shes.runs.evaluate import Evaluation, evaluate
     from shes.runs.export import export
     from shes.runs.listeners import StopTraining
     from shes.runs.loaded_agent import Agent, load
+    from shes.runs.named_algorithms import register_algorithm
     from shes.runs.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
@@ -67,12 +67,12 @@ _HOMES = {
     "export": "shes.runs.export",
     "load": "shes.runs.loaded_agent",
     "plot": "shes.viewing.plot",
-    "register_algorithm": "shes.algorithms.registry",
-    "register_controller_output": "shes.hierarchy.outputs",
+    "register_algorithm": "shes.runs.named_algorithms",
+    "register_controller_output": "shes.agents.outputs",
     "register_environment": "shes.envs.registry",
     "register_external": "shes.envs.registry",
-    "register_goal_encoding": "shes.hierarchy.goals",
-    "register_primitive_reward": "shes.hierarchy.rewards",
+    "register_goal_encoding": "shes.agents.goals",
+    "register_primitive_reward": "shes.agents.rewards",
     "render": "shes.viewing.render",
     "report": "shes.viewing.report",
     "resume": "shes.runs.train",

@@ -7,10 +7,10 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.algorithm import evolve
 from shes.cli import main
 from shes.cli.bench import bench_rollout, record_generation
 from shes.errors import ConfigError
+from shes.evolution.algorithm import evolve
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
 

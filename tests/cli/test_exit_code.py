@@ -8,8 +8,7 @@ import sys
 import pytest
 
 from shes.cli import output
-from shes.cli.exit_code import BROKEN_PIPE, INTERRUPTED, TO_ASCII, exit_code
-from shes.cli.program import main
+from shes.cli.program import BROKEN_PIPE, INTERRUPTED, TO_ASCII, exit_code, main
 from shes.console import LineConsole
 from shes.errors import ConfigError, WorkerError
 from shes.listing import Listing, Table, facts_listing

@@ -8,7 +8,6 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES
 from shes.cli import main, parsing
 from shes.cli.command_table import COMMANDS, EVERYWHERE
 from shes.console import LineConsole
@@ -17,6 +16,7 @@ from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
 from shes.runs import comparison, export
 from shes.runs.make_config import make_config
+from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
 from shes.runs.sections import execution_settings
 from shes.viewing import plot, render
 

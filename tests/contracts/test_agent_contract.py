@@ -13,8 +13,8 @@ import pytest
 
 from shes.runs.build import build_algorithm, build_task
 from shes.runs.make_config import make_config
-from tests.hierarchy.designs import INTERVAL, OBSERVED, every_design, levels_of, thetas_of
-from tests.hierarchy.plain_agent import PlainAgent, columns
+from tests.rollout.designs import INTERVAL, OBSERVED, every_design, levels_of, thetas_of
+from tests.rollout.plain_agent import PlainAgent, columns
 
 MEMBERS, EPISODES, STEPS = 4, 2, 2 * INTERVAL + 2
 EGOCENTRIC = {

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.evolution import way_search
-from shes.algorithms.registry import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
+from shes.evolution import way_search
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
+from shes.runs.named_algorithms import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.runs.tables import read_csv
 from shes.settings import Settings
 from tests.e2e import runs
@@ -139,7 +139,7 @@ def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
 @pytest.mark.parametrize(
     ("name", "algorithm", "message"),
     [
-        ("shes", "RandomSearch", "algorithm 'shes' is shes.algorithms.evolution.strategies.SHES already"),
+        ("shes", "RandomSearch", "algorithm 'shes' is shes.evolution.strategies.SHES already"),
         ("Random search", "RandomSearch", "algorithm name must be lower-case words"),
         ("other", "State", "an? algorithm must be a subclass of shes.algorithms.contract.Algorithm"),
     ],

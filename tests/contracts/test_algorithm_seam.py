@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.contract import Algorithm
-from shes.algorithms.presets import PRESETS, Preset
-from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.algorithms.contract import PRESETS, Algorithm, Preset
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
-from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
 from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
+from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.runs.sections import known_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from shes.cores import num_cores
+from shes.machine import num_cores
 from shes.runs.build import open_run
 from shes.runs.train import train
 

@@ -346,7 +346,7 @@ def spoil(path, level):
 @pytest.fixture
 def unchecked(monkeypatch):
     """Let a checkpoint be read whatever it holds, as if the NaN came from elsewhere."""
-    monkeypatch.setattr("shes.algorithms.evolution.strategies.check_arrays", lambda *_: None)
+    monkeypatch.setattr("shes.evolution.strategies.check_arrays", lambda *_: None)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert {name for name in names if ".dist-info/" not in name} == package
     assert "shes/py.typed" in package
     assert any(name.endswith("licenses/LICENSE") for name in names)
-    agents = {name for name in package if name.startswith("shes/agents/")}
+    agents = {name for name in package if name.startswith("shes/shipped/")}
     page = {f"shes/viewing/report/page.{kind}" for kind in ("html", "css", "js")}
     assert page <= package
     assert all(name.endswith((".py", "py.typed")) for name in package - agents - page)

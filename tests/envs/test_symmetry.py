@@ -13,17 +13,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from shes.agents.frames import Frames
+from shes.agents.goal_agent import GoalDesign
+from shes.agents.goals import AngleEncoding
+from shes.agents.mlp import MLP
+from shes.agents.rewards import ProgressReward
+from shes.agents.views import EgocentricView
 from shes.envs.bodies.ant import Ant
 from shes.envs.registry import ENVIRONMENTS
 from shes.envs.worlds import empty_world
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.frames import Frames
-from shes.hierarchy.goal_agent import GoalDesign
-from shes.hierarchy.goals import AngleEncoding
-from shes.hierarchy.rewards import ProgressReward
-from shes.hierarchy.views import EgocentricView
-from shes.policies.mlp import MLP
 from tests.envs.legs import ELEMENTS, MIRROR, Images, quarters, turned
 
 BODIES = {body.name: body() for body in {environment.body for environment in ENVIRONMENTS.values()}}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from shes.es.archive import PATIENCE, Archive, Reached, wander
+from shes.evolution.archive import PATIENCE, Archive, Reached
+from shes.rollout.episodes import wander
 
 
 def start():

@@ -14,8 +14,8 @@ from experiments import running
 from experiments.results import SUMMARY, read_results, read_summary, write_tables
 from experiments.running import check_experiment, finish, run_experiment, runs_left
 from experiments.summary import provenance_columns
-from shes.cores import core_numbers
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError, WorkerError
+from shes.machine import core_numbers
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.noise import NoiseTable
+from shes.evolution.algorithm import evolve
+from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 

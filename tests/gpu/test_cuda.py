@@ -21,7 +21,7 @@ from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
 from tests.e2e import runs
-from tests.hierarchy import test_device_arrays as stand_in
+from tests.rollout import test_device_arrays as stand_in
 
 pytestmark = [pytest.mark.gpu, pytest.mark.timeout(600)]
 

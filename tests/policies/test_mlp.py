@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from shes.agents.mlp import MLP, RectifiedMLP, aligned_rows
 from shes.errors import ConfigError
-from shes.policies.mlp import MLP, RectifiedMLP, aligned_rows
 
 
 def _layers(theta, sizes):

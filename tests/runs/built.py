@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
-from shes.algorithms.evolution.estimates import Hyperparameters
-from shes.algorithms.worker import WorkerPlan
-from shes.hierarchy.agent import AgentDesign
+from shes.agents.agent import AgentDesign
+from shes.evolution.estimates import Hyperparameters
+from shes.rollout.worker import WorkerPlan
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 

@@ -14,12 +14,13 @@ import psutil
 import pytest
 
 from shes.algorithms import worker
-from shes.algorithms.evolution import way_search
-from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule, update_level
+from shes.es.level import LevelState, LevelUpdate, UpdateRule, update_level
 from shes.es.noise import NoiseTable
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
-from shes.hierarchy.exploration import Exploration
-from shes.hierarchy.rollout import Rollout
+from shes.evolution import way_search
+from shes.evolution.state import TrainState
+from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
+from shes.rollout.exploration import Exploration
+from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import Evaluation, evaluate_state
 from shes.runs.make_config import make_config
@@ -143,7 +144,7 @@ def recording() -> Iterator[Record]:
         patch.setattr(worker, "WarpDevice", Device)
         patch.setattr("shes.algorithms.problem.WarpDevice", Device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
-        patch.setattr("shes.algorithms.evolution.algorithm.update_level", record_update)
+        patch.setattr("shes.evolution.algorithm.update_level", record_update)
         patch.setattr(Exploration, "of_step", record_noise)
         yield record
 

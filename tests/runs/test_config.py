@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.evolution.learned_levels import learns
+from shes.agents.goals import GOAL_ENCODINGS
+from shes.agents.outputs import CONTROLLER_OUTPUTS, VectorOutput
+from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
-from shes.hierarchy.goals import GOAL_ENCODINGS
-from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
-from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_task
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config

@@ -10,15 +10,15 @@ import pytest
 
 import shes
 import shes.algorithms.problem
-import shes.algorithms.worker
+import shes.rollout.worker
 import shes.runs.build
 import shes.runs.provenance
-from shes.algorithms.evolution.estimates import draw_episodes
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
-from shes.cores import num_cores
 from shes.errors import ConfigError
-from shes.hierarchy.results import PopulationResults
+from shes.evolution.estimates import draw_episodes
+from shes.machine import num_cores
+from shes.rollout.results import PopulationResults
 from shes.runs import device
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
@@ -54,9 +54,9 @@ def stand_in(monkeypatch):
             pass
 
     monkeypatch.setattr(shes.runs.build, "simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr(shes.algorithms.worker, "simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr(shes.algorithms.worker.RolloutWorker, "_most_lanes", lambda *_: 8)
-    monkeypatch.setattr(shes.algorithms.worker, "WarpDevice", Device)
+    monkeypatch.setattr(shes.rollout.worker, "simulator_factory", lambda *_: CpuSimulator)
+    monkeypatch.setattr(shes.rollout.worker.RolloutWorker, "_most_lanes", lambda *_: 8)
+    monkeypatch.setattr(shes.rollout.worker, "WarpDevice", Device)
     monkeypatch.setattr(shes.runs.provenance, "WarpDevice", Device)
     monkeypatch.setattr(shes.algorithms.problem.Problem, "xp", np)
     return facts

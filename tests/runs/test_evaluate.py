@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.strategies import EvolutionAlgorithm
+from shes.agents.goal_agent import GoalAgent
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
-from shes.hierarchy.goal_agent import GoalAgent
+from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv

@@ -2,11 +2,11 @@
 
 import pytest
 
-from shes.algorithms.registry import PRESET_NAMES
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.build import build_options
 from shes.runs.make_config import make_config
+from shes.runs.named_algorithms import PRESET_NAMES
 
 PAPER = {
     # SHES paper, Table I.

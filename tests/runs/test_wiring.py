@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.estimates import draw_pairs
 from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
 from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
+from shes.evolution.estimates import draw_pairs
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.hierarchy.views import CONTROLLER_VIEWS
+from shes.agents.views import CONTROLLER_VIEWS
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback, input_words

@@ -1,1 +1,1 @@
-"""Learning algorithms: their contract, their registry, and the worker that runs their episodes."""
+"""What every learning algorithm is to the rest of the package."""

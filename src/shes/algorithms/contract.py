@@ -8,22 +8,83 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from shes.algorithms.level_transfer import LevelTransfer
-from shes.algorithms.presets import Preset
+from shes.agents.agent import AgentDesign
 from shes.algorithms.problem import Problem
-from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
-from shes.hierarchy.agent import AgentDesign
+from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
 from shes.types import ArrayHeader, F64Array
+
+
+class LevelTransfer(ABC):
+    """The transfer of a level between runs of algorithms that have this object in `Algorithm.transfers`.
+
+    A setting with the name of the level gives the other run, and `LEVEL_checkpoint` its checkpoint.
+    """
+
+    trained_by: ClassVar[str]
+    """Runs that train such a level, for error messages."""
+    advice: ClassVar[str]
+    """Advice in the error message about a level that does not fit."""
+    suggested: ClassVar[tuple[str, ...]] = ()
+    """Settings that come with the level unless another value is asked for."""
+
+    @abstractmethod
+    def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
+        """Return the settings that a level of a run with settings `source` brings to a run of levels `level_names`."""
+
+    @abstractmethod
+    def interface(self, problem: Problem) -> str:
+        """Return the inputs and outputs of the level in words. Both runs must have the same."""
+
+    @abstractmethod
+    def move(self, source: Any, state: Any) -> Any:
+        """Return `state` with the parameters and statistics of the level in state `source`."""
+
+    def is_egocentric(self, source: Any) -> bool:
+        """Return whether the level of a run with settings `source` sees the robot's state in its own frame."""
+        return False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """Values by the name of a setting. Those of settings that a run does not have are ignored."""
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """Values in every environment."""
+    per_environment: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Further values by the name of the environment."""
+
+    def of(self, env: str) -> dict[str, Any]:
+        """Return the values in environment `env`."""
+        return {**self.values, **self.per_environment.get(env, {})}
+
+
+PRESETS: Mapping[str, Preset] = {
+    # Learns visibly on a few cores: the default settings.
+    "laptop": Preset(
+        values={"evaluation_horizon": 500},
+        per_environment={
+            # The point reaches a goal in a second, not in two and a half, and its episodes cost little.
+            "point-gather": {"horizon": 500, "generations": 80},
+            # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
+            "robotics-point-maze": {"goal_distance": 1.0},
+        },
+    ),
+    # Takes seconds: a test that does not learn.
+    "smoke": Preset(
+        values={"generations": 3, "horizon": 50, "hidden": (16,), "evaluation_interval": 2, "evaluation_episodes": 4}
+    ),
+}
+"""The presets of every algorithm."""
 
 
 class AnyState(Protocol):
@@ -93,7 +154,7 @@ class Algorithm(ABC, Generic[StateT]):
     argument of `shes.train` and an entry of `config.json`. `problem.settings.SECTION.NAME` is its value."""
 
     presets: ClassVar[Mapping[str, Preset]] = {}
-    """Its own values of presets, by name, which win over `shes.algorithms.presets.PRESETS`. A name that is not among
+    """Its own values of presets, by name, which win over `shes.algorithms.contract.PRESETS`. A name that is not among
     those is a preset of its own; `--preset` then chooses the first algorithm that has it."""
 
     transfers: ClassVar[Mapping[str, LevelTransfer]] = {}

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from shes.algorithms.worker import EpisodeSetup, WorkerPlan
+from shes.agents.agent import AgentDesign, FlatDesign
+from shes.agents.mlp import MLP
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ShapeError
 from shes.es.noise import NoiseTable
-from shes.hierarchy.agent import AgentDesign, FlatDesign
-from shes.policies.mlp import MLP
+from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.sim.warp_device import WarpDevice
 
 

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeAlias
 
-from shes.cores import num_cores
+from shes.machine import num_cores
 from shes.settings import Settings
 
 

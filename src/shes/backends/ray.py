@@ -23,8 +23,8 @@ from typing import Annotated, Any, ClassVar
 from shes.backends.backend import WorkerFactory
 from shes.backends.serving import ClosedError, import_path, pickle_factory, serve, use_one_thread
 from shes.backends.supervision import CLOSE_S, REPORTED_S, RemoteWorker, SupervisingBackend, SupervisionSettings
-from shes.cores import num_cores
 from shes.errors import ConfigError, MissingExtraError
+from shes.machine import num_cores
 from shes.settings import Example, Execution, Settings
 
 _ANSWER_S = 10.0  # wait for the head node of a cluster

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from shes.agents.agent import AgentBatch, AgentDesign
+from shes.agents.mlp import MLP, RectifiedMLP
+from shes.agents.views import ColumnsView
 from shes.envs.episode_batch import EpisodeBatch
 from shes.es.statistics import normalise
-from shes.hierarchy.agent import AgentBatch, AgentDesign
-from shes.hierarchy.views import ColumnsView
-from shes.policies.mlp import MLP, RectifiedMLP
 from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 
 

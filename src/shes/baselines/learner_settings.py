@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from shes.algorithms.presets import Preset
+from shes.algorithms.contract import Preset
 from shes.envs.builtin import BUILTIN_ENVIRONMENTS
 from shes.es.statistics import CLIP
 from shes.settings import Example, Ge, Gt, Le, Lt, Settings, Shown

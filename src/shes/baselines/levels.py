@@ -1,7 +1,7 @@
 """The levels of a run of HIRO or TD3: their networks and replay buffers, and their state between generations.
 
 Parameters are trees, which JAX takes as they are: tuples of layers. Agents and checkpoints alone need flat vectors,
-layer by layer as in `shes.policies.mlp`; `flat` and `layers` convert them.
+layer by layer as in `shes.agents.mlp`; `flat` and `layers` convert them.
 
 D parameters of a network, A outputs of an actor.
 """
@@ -16,11 +16,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from shes.agents.mlp import MLP
 from shes.baselines.learner_settings import LearnerSettings
 from shes.baselines.replay import Replay, check_array
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.policies.mlp import MLP
 from shes.types import F32Array, F64Array
 
 OUTPUT_RANGE = 0.003

@@ -18,10 +18,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.algorithms.contract import Algorithm, Report
-from shes.algorithms.presets import Preset
+from shes.agents.agent import AgentDesign, FlatDesign
+from shes.agents.mlp import RectifiedMLP
+from shes.algorithms.contract import Algorithm, Preset, Report
 from shes.algorithms.problem import Problem
-from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
 from shes.baselines.learner_settings import HIRO_PRESETS, TD3_SECTIONS, LearnerSettings
@@ -31,9 +31,8 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
 from shes.es.streams import Purpose, stream
-from shes.free_space import free_memory
-from shes.hierarchy.agent import AgentDesign, FlatDesign
-from shes.policies.mlp import RectifiedMLP
+from shes.machine import free_memory
+from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
 
 LEARNING = "shes.baselines.learning"

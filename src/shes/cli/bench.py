@@ -14,21 +14,21 @@ from typing import Annotated, Any, Literal
 import mujoco
 import numpy as np
 
-from shes.algorithms.evolution.algorithm import evolve, roll_out
-from shes.algorithms.evolution.strategies import EvolutionAlgorithm
-from shes.algorithms.registry import ALGORITHMS
-from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.checked import checked
-from shes.cores import on_one_core
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
+from shes.evolution.algorithm import evolve, roll_out
+from shes.evolution.strategies import EvolutionAlgorithm
 from shes.listing import Listing, facts_listing
+from shes.machine import on_one_core
+from shes.rollout.worker import RolloutWorker, WorkerPlan
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_limits
 from shes.runs.make_config import make_config
+from shes.runs.named_algorithms import ALGORITHMS
 from shes.settings import Ge
 from shes.sim.cpu import CpuSimulator
 from shes.types import F64Array, IntArray

@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 
 import shes
-from shes.cli.exit_code import INTERRUPTED, exit_code
+from shes.cli.program import INTERRUPTED, exit_code
 from shes.console import LineConsole
 
 __all__ = ["main"]

@@ -12,7 +12,7 @@ from typing import Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from shes.cli.exit_code import TERMINATED, TO_ASCII
+from shes.cli.program import TERMINATED, TO_ASCII
 from shes.console import LineConsole
 from shes.listing import Listing
 from shes.runs.progress_display import drawing_progress

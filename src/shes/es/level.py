@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.checked import checked
-from shes.es.archive import Archive
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
@@ -43,32 +42,16 @@ class LevelState:
         return cls(name=name, theta=theta, optimizer=optimizer.start(len(theta)), statistics=statistics)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RunningEpisodes:
-    """Episodes that continue from generation to generation, from which pairs of primitives branch off."""
-
-    states: F64Array
-    """Full physics states [G, S], including the solver's warm start."""
-    steps: IntArray
-    """Control steps of each episode so far [G]; -1 if it starts anew, in which case its state is ignored."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class TrainState:
-    """State of a run between generations."""
+class StrategyState:
+    """State of an evolution strategy between generations."""
 
     seed: int
     """Seed of all random numbers."""
-    generation: int
+    generation: int = 0
     """Number of updates so far."""
-    env_steps: int
-    """Number of environment steps of training so far."""
     levels: tuple[LevelState, ...]
     """The levels, controller first."""
-    archive: Archive | None = None
-    """State of the search for a way, if enabled."""
-    running: RunningEpisodes | None = None
-    """Episodes that continue in the next generation, if any."""
 
 
 @dataclass(frozen=True, kw_only=True)

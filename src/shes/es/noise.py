@@ -22,7 +22,7 @@ import numpy as np
 
 from shes.checked import checked
 from shes.errors import ConfigError, StorageError
-from shes.free_space import free_disk, free_memory
+from shes.machine import free_disk, free_memory
 from shes.settings import Ge, Shown
 from shes.storage import remove_abandoned, storage_errors, write_atomically
 from shes.types import F32Array

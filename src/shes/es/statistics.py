@@ -6,10 +6,11 @@ Source: Salimans et al. 2017, whose code normalises MuJoCo observations in this 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
-from shes.types import F32Array, F64Array, FloatArray
+from shes.types import F32Array, F64Array, FloatArray, IntArray
 
 MIN_VARIANCE = 0.01
 """Lower limit of the variance: normalisation magnifies no input more than tenfold."""
@@ -59,3 +60,35 @@ def normalise(observation: FloatArray, mean: F64Array, inverse_std: F64Array, cl
     np.maximum(scaled, -clip, out=scaled)  # two ufuncs are faster than np.clip
     np.minimum(scaled, clip, out=scaled)
     return scaled.astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moments:
+    """Sums over the observations of each of K episodes at one level. The arrays change in place."""
+
+    count: IntArray
+    """Number of observations [K]."""
+    total: F64Array
+    """Their sum [K, O]."""
+    total_squares: F64Array
+    """Sum of their squares [K, O]."""
+
+    @classmethod
+    def zeros(cls, num_episodes: int, size: int, xp: ModuleType = np) -> Moments:
+        """Return sums over no observations of `size` values, as arrays of `xp`."""
+        return cls(
+            count=xp.zeros(num_episodes, dtype=np.int64),
+            total=xp.zeros((num_episodes, size)),
+            total_squares=xp.zeros((num_episodes, size)),
+        )
+
+    def add(self, rows: slice | IntArray, observation: F64Array) -> None:
+        """Add one observation [rows, O] to each of `rows`."""
+        self.count[rows] += 1
+        self.total[rows] += observation
+        self.total_squares[rows] += observation * observation
+
+    def clear(self, rows: slice | IntArray) -> None:
+        """Reset the sums of `rows`."""
+        for sums in (self.count, self.total, self.total_squares):
+            sums[rows] = 0

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from shes.checked import checked
 from shes.errors import ConfigError, ShapeError
-from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
+from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs
@@ -74,7 +74,7 @@ class EvolutionStrategy:
         initial: ArrayLike | Sequence[ArrayLike] | None = None,
         seed: Annotated[int, Ge(0)] = 0,
         noise_table_size: int = 1_000_000,
-        state: TrainState | None = None,
+        state: StrategyState | None = None,
         **options: Any,
     ) -> None:
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
@@ -149,7 +149,7 @@ class EvolutionStrategy:
         """Return where the noise of each group starts [L, G]."""
         return draw_noise_index(self.state.seed, self.state.generation, num_groups, self.dims, self.table.size)
 
-    def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> TrainState:
+    def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> StrategyState:
         if initial is None:
             starts = [np.zeros(dim, np.float32) for dim in self.dims]
         else:
@@ -160,7 +160,7 @@ class EvolutionStrategy:
             LevelState.start("policy" if self._single else f"level_{i}", x, self.rule.optimizer, 0)
             for i, x in enumerate(starts)
         )
-        return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
+        return StrategyState(seed=seed, levels=levels)
 
 
 def _check_options(options: dict[str, Any]) -> None:

@@ -17,10 +17,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from shes.checked import checked
-from shes.cores import num_cores
 from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter
+from shes.machine import num_cores
 from shes.settings import Ge
 from shes.types import BoolArray, F64Array, IntArray, is_whole
 

@@ -10,7 +10,6 @@ from typing import Any, cast
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.problem import Problem
-from shes.algorithms.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
@@ -18,6 +17,7 @@ from shes.envs.registry import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
+from shes.rollout.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder

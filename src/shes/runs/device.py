@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from shes.algorithms.worker import lanes_that_fit
-from shes.cores import num_cores
+from shes.agents.agent import AgentDesign
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
-from shes.free_space import free_memory
-from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import empty_outcomes
+from shes.machine import free_memory, num_cores
+from shes.rollout.episodes import empty_outcomes
+from shes.rollout.worker import lanes_that_fit
 from shes.runs.config import TrainConfig
 
 _WORKER_BYTES = 45_000_000  # that a worker process shares with no other: 36 to 42 MB measured

@@ -12,15 +12,15 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
-from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.checked import checked
 from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
-from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
+from shes.rollout.episodes import Decisions, EpisodeTask, Generation
+from shes.rollout.results import PopulationResults, lower_diverged
+from shes.rollout.roll_out import roll_out_tasks
 from shes.runs.build import build_backend, open_run
 from shes.runs.device import check_asked_device, check_limits, most_episodes
 from shes.runs.folder import RunFolder

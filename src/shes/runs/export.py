@@ -17,6 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from shes.agents.goal_agent import MIN_COMPONENT_M, GoalDesign
+from shes.agents.mlp import MLP
 from shes.checked import checked
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
@@ -24,8 +26,6 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.root import yaw
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
-from shes.hierarchy.goal_agent import MIN_COMPONENT_M, GoalDesign
-from shes.policies.mlp import MLP
 from shes.runs.build import OpenedRun, open_run
 from shes.storage import write_atomically
 from shes.types import F64Array

@@ -8,11 +8,11 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from shes.agents.frames import Frames
 from shes.algorithms.contract import Algorithm
 from shes.checked import checked
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters
-from shes.hierarchy.frames import Frames
 from shes.runs.build import OpenedRun, build_algorithm, open_run
 from shes.runs.config import TrainConfig
 from shes.settings import Ge

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.backends.named_backends import BACKENDS
-from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError
+from shes.machine import num_cores
 from shes.options import with_options
+from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown
 from shes.sim.warp_device import DEVICES
 

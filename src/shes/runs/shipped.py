@@ -1,6 +1,6 @@
 """Shipped agents: trained agents in the package, whose names can be given instead of a run folder.
 
-Each is a small run folder below `agents/`, with `agent.json` beside its `config.json`.
+Each is a small run folder below `shipped/`, with `agent.json` beside its `config.json`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from shes.errors import RunFolderError, UnknownNameError, nearest_first
 
-AGENTS = Path(str(files("shes") / "agents"))
+AGENTS = Path(str(files("shes") / "shipped"))
 """Folder of the shipped agents."""
 AGENT_FILE = "agent.json"
 """Description of an agent; a folder without it is not an agent."""

@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from shes.algorithms.contract import Algorithm
-from shes.algorithms.level_transfer import LevelTransfer
-from shes.algorithms.registry import ALGORITHMS, algorithm_classes
+from shes.algorithms.contract import Algorithm, LevelTransfer
 from shes.errors import CheckpointError, ConfigError
 from shes.runs.build import OpenedRun, build_task, open_run
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.named_algorithms import ALGORITHMS, algorithm_classes
 from shes.runs.repetitions import origin_of
 from shes.runs.sections import RunSettings, algorithm_of
 from shes.settings import flag

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from shes.agents.views import View
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
-from shes.hierarchy.views import View
 from shes.runs.build import open_run
 from shes.runs.evaluate import fresh_seeds
 from shes.runs.loaded_agent import Agent

@@ -18,7 +18,7 @@ import numpy as np
 
 from shes.checked import checked
 from shes.errors import ShesError
-from shes.hierarchy.episodes import PARTS
+from shes.rollout.episodes import PARTS
 from shes.runs.config import TrainConfig
 from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.listings import run_state

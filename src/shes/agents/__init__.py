@@ -1,0 +1,1 @@
+"""Agents with any number of levels: networks, goals, rewards, outputs, views."""

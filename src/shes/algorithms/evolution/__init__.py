@@ -1,1 +1,0 @@
-"""Evolution strategies: SHES, S-ES and the primitive alone."""

@@ -1,0 +1,1 @@
+"""Algorithm 1 of the SHES paper, and S-ES."""

@@ -1,0 +1,118 @@
+"""Algorithm 1 of the SHES paper: evolve a controller and a primitive together.
+
+Source: S. Abramowitz and G. Nitschke, "Towards Run-time Efficient Hierarchical Reinforcement Learning", IEEE CEC 2022,
+Algorithm 1 and sections II-A, II-E, II-F. `# line k` marks the lines of Algorithm 1. `theta`, `sigma`, `alpha` (the
+learning rate), `n` (the population size) and the noise `epsilon` are its symbols. With a single level it is S-ES
+(Salimans et al. 2017). Random numbers derive from (seed, purpose, generation), so they do not depend on the workers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from time import perf_counter
+
+from shes.backends.backend import Backend
+from shes.es.level import LevelUpdate, update_level
+from shes.es.noise import NoiseTable
+from shes.evolution.estimates import Draws, Hyperparameters, Population, next_running
+from shes.evolution.state import TrainState
+from shes.evolution.way_search import explore
+from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import roll_out_tasks
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerationReport:
+    """Result of one generation."""
+
+    state: TrainState
+    populations: tuple[Population, ...]
+    """The members evaluated by whole episodes, then the pairs of a primitive that is evaluated by intervals."""
+    updates: tuple[LevelUpdate, ...]
+    rollout_s: float
+    """Duration of the rollouts in seconds."""
+    update_s: float
+    """Duration of fitness, gradients, optimizer and statistics in seconds."""
+
+    @property
+    def results(self) -> PopulationResults:
+        """Returns, steps and flags of every episode of the first population."""
+        return self.populations[0].results
+
+    @property
+    def num_steps(self) -> int:
+        """Number of environment steps of the generation's members."""
+        return num_steps(self.populations)
+
+    @property
+    def log(self) -> list[str]:
+        """Log messages of the simulators."""
+        return [line for each in self.populations for line in each.results.log]
+
+    @property
+    def sources(self) -> tuple[tuple[Population, int], ...]:
+        """See `sources_of_fitness`."""
+        return sources_of_fitness(self.populations)
+
+
+def sources_of_fitness(populations: tuple[Population, ...]) -> tuple[tuple[Population, int], ...]:
+    """Return for each level the last population that evaluates it, and the level's place there."""
+    sources = {level: (each, i) for each in populations for i, level in enumerate(each.levels)}
+    return tuple(sources[level] for level in sorted(sources))
+
+
+def num_steps(populations: tuple[Population, ...]) -> int:
+    """Return the number of environment steps of all episodes."""
+    return sum(int(each.results.steps.sum()) for each in populations)
+
+
+def roll_out(draws: Draws, backend: Backend) -> Population:
+    """Return the members with the results of their episodes."""
+    own = {field.name: getattr(draws, field.name) for field in fields(draws)}
+    return Population(**own, results=roll_out_tasks(draws.tasks, draws.generation, backend))
+
+
+def evolve(
+    state: TrainState,
+    settings: Hyperparameters,
+    table: NoiseTable,
+    backend: Backend,
+    pool: ThreadPoolExecutor | None = None,
+) -> Generator[GenerationReport, None, None]:
+    """Yield a report after every generation from `state` on, indefinitely. `pool` computes gradients in parallel."""
+    while True:  # line 1
+        start = perf_counter()
+        # Not in the paper: a search by the mean primitive for a way to the target, which then guides the controllers.
+        state = explore(state, settings.search, backend)
+        populations = tuple[Population, ...]()
+        for draw in settings.estimates:  # whole episodes; not in the paper: a primitive may be evaluated by intervals
+            draws = draw(state, settings, table.size, populations)  # line 2: n perturbations, sigma * epsilon
+            populations += (roll_out(draws, backend),)  # line 3: f = F(theta + sigma * epsilon), for every level
+        rolled_out, updates = perf_counter(), list[LevelUpdate]()
+        sources = sources_of_fitness(populations)
+        levels = zip(state.levels, settings.updates, settings.learns, sources, strict=True)
+        for before, rule, learns, (source, i) in levels:
+            statistics = source.results.observed(i, before.statistics) if learns else before.statistics
+            level = replace(before, statistics=statistics)
+            fitness = source.shaped_fitness(i, rule)  # each level has its own
+            # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
+            update = update_level(
+                level, fitness, source.signs[:, :, i], source.noise_index[i], table, rule, source.learning_rate, pool
+            )
+            updates.append(update)
+        state = replace(
+            state,
+            generation=state.generation + 1,
+            env_steps=state.env_steps + num_steps(populations),
+            levels=tuple(update.level for update in updates),
+            running=next_running(populations[0], settings.horizon) if settings.has_running_episodes else None,
+        )
+        yield GenerationReport(
+            state=state,
+            populations=populations,
+            updates=tuple(updates),
+            rollout_s=rolled_out - start,
+            update_s=perf_counter() - rolled_out,
+        )

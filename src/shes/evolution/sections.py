@@ -1,0 +1,198 @@
+"""Settings of the evolution strategies: one class per section, and the sections of each algorithm.
+
+Options of an optimizer, a reward or another registered class are defined in that class: see `shes.options`.
+
+Source: tables and sections are those of the SHES paper.
+Deviation: the defaults are those of the preset `laptop`. The docstrings give the values of Table I of the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from shes.agents.goals import GOAL_ENCODINGS
+from shes.agents.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
+from shes.agents.outputs import CONTROLLER_OUTPUTS
+from shes.agents.rewards import PRIMITIVE_REWARDS
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
+from shes.envs.bodies.symmetry import SYMMETRIES
+from shes.es.mirror import MIRRORINGS
+from shes.es.noise import DEFAULT_TABLE_SIZE
+from shes.es.optimizers import OPTIMIZERS
+from shes.es.perturbation import PERTURBATIONS
+from shes.es.shaping import FITNESS_SHAPINGS
+from shes.evolution.estimates import COMMON_RANDOM_NUMBERS
+from shes.registry import Registry
+from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
+
+
+def _registered(registry: Registry[Any], kind: str) -> Choices:
+    """Return the choices of `registry`, to which users can add their own."""
+    fix = f"Register your own first: shes.register_{kind}, or --import MODULE."
+    return Choices(registry, fix, is_described=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvolutionSettings(Settings):
+    """Population and update."""
+
+    population_size: Annotated[int, Ge(1), Shown(everyday=True)] = 240
+    """Policies per generation, mirrored ones included (Table I: 1000)."""
+    episodes_per_policy: Annotated[int, Ge(1)] = 1
+    """Episodes per policy; the fitness is their mean return (Table I: 5)."""
+    sigma: Annotated[float, Gt(0), Shown(everyday=True)] = 0.07
+    """Standard deviation of the perturbations (Table I: 0.02)."""
+    learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 0.01
+    """Learning rate (Table I, for Adam: 0.01)."""
+    sigma_end: Annotated[float, Gt(0)] | None = None
+    """Sigma after schedule_generations, reached by a constant factor per generation; none for a constant sigma."""
+    learning_rate_end: Annotated[float, Gt(0)] | None = None
+    """The same for the learning rate."""
+    schedule_generations: Annotated[int, Ge(1), Needs("sigma_end"), Needs("learning_rate_end")] = 1000
+    """Generations in which sigma and the learning rate reach their ends."""
+    weight_decay: Annotated[float, Ge(0)] = 0.005
+    """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
+    mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
+    """How the members of a group mirror its noise (section II-F)."""
+    fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
+    """Fitness shaping."""
+    optimizer: Annotated[str, Choices(OPTIMIZERS, is_described=True)] = "adam"
+    """Optimizer."""
+    common_random_numbers: Annotated[str, Choices(COMMON_RANDOM_NUMBERS)] = "group"
+    """Which policies share episode seeds: off (none), group (those of a mirrored group) or population (all)."""
+    statistics_fraction: Annotated[float, Ge(0), Le(1)] = 1.0
+    """Fraction of the mirrored groups whose observations enter the observation statistics."""
+    noise_table_size: Annotated[int, Ge(2)] = DEFAULT_TABLE_SIZE
+    """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplorationSettings(Settings):
+    """Exploration."""
+
+    explore: Literal["none", "archive"] = "none"
+    """Search for a way to the target: none, or by an archive of places to which a simulation goes back. The way found
+    replaces the waypoints in training."""
+    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
+    """Longest way of the search in control steps; none for the horizon."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkSettings(Settings):
+    """Networks."""
+
+    hidden: Annotated[tuple[int, ...], Ge(1), Example("64 64"), Shown(everyday=True)] = (32,)
+    """Sizes of the hidden layers (paper: 256 256 256); without a number the policies are linear."""
+    biases: Annotated[str, Choices(BIAS_INITIALISATIONS)] = "zero"
+    """Initialisation of the biases."""
+    output_weights: Annotated[str, Choices(OUTPUT_INITIALISATIONS)] = "glorot_normal"
+    """Initialisation of the output layer; with zero the initial outputs are zero."""
+    clock_frequency: Annotated[float, Gt(0)] | None = None
+    """Frequency in Hz of a clock that the primitive (with es: the policy) observes; none for no clock."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrimitiveSettings(Settings):
+    """Goals, and the primitive that reaches them."""
+
+    controller_interval: Annotated[int, Ge(1)] = 25
+    """Control steps for which a goal is held (c in Table I: 25)."""
+    goal_distance: Annotated[float, Gt(0)] = 4.0
+    """Goal distance in metres for a controller output of 1 (Table I: 4)."""
+    goal_encoding: Annotated[str, _registered(GOAL_ENCODINGS, "goal_encoding")] = "angle"
+    """Goal features that the primitive observes (section II-C)."""
+    primitive_reward: Annotated[str, _registered(PRIMITIVE_REWARDS, "primitive_reward")] = "progress"
+    """Intrinsic reward of the primitive (section II-B)."""
+    primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
+    """Values that the primitive observes in addition to its goal."""
+    symmetry: Annotated[str, Choices(SYMMETRIES), Needs("primitive_view", ("egocentric",))] = "none"
+    """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HierarchySettings(PrimitiveSettings):
+    """Controller and primitive."""
+
+    minimum_goal_distance: bool = True
+    """Whether goals nearer than 1 m are moved outward."""
+    controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
+    """Meaning of the controller's outputs."""
+    controller_network: Literal["mlp", "equivariant"] = "mlp"
+    """Network of the controller: mlp, or equivariant (turned and mirrored sectors give turned and mirrored goals, and
+    hidden counts the units per sector)."""
+    controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
+    """Values that the controller observes."""
+    perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"
+    """Which levels a generation perturbs (section II-E)."""
+    primitive_hidden: Annotated[tuple[int, ...], Ge(1), Example("64 64")] | None = None
+    """Sizes of the primitive's hidden layers; none for those of the controller."""
+
+
+_BY_INTERVAL = Needs("primitive_estimate", ("interval",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrimitiveEstimateSettings(Settings):
+    """Evaluation of the primitive."""
+
+    primitive_estimate: Literal["episode", "interval"] = "episode"
+    """How the primitive is evaluated: by whole episodes, or by intervals (pairs that branch off the same state)."""
+    intervals: Annotated[int, Ge(1), _BY_INTERVAL] = 2
+    """Goals that a branch pursues, each for a controller interval."""
+    fall_price: Annotated[float, Ge(0)] = 0.0
+    """Subtracted from a primitive's shaped fitness for a fall; the best pair has the weight 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateSettings(PrimitiveEstimateSettings):
+    """Evaluation of the primitive under a controller."""
+
+    primitive_population_size: Annotated[int, Ge(2), _BY_INTERVAL] | None = None
+    """Policies in the branches of a generation; none for population_size."""
+    primitive_sigma: Annotated[float, Gt(0), _BY_INTERVAL] | None = None
+    """Standard deviation of the perturbations in branches; none for sigma with its schedule."""
+    primitive_learning_rate: Annotated[float, Gt(0), _BY_INTERVAL] | None = None
+    """Learning rate of a primitive in branches; none for learning_rate with its schedule."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrimitiveTransferSettings(Settings):
+    """Transfer of a primitive (section II-D)."""
+
+    primitive: Annotated[str, Example("ant-walker"), Shown(everyday=True)] | None = None
+    """Run or shipped agent whose primitive is transferred (section II-D), with its observation statistics."""
+    primitive_checkpoint: Annotated[str, Needs("primitive")] = "best"
+    """Checkpoint of that run: best, last or the number of a generation."""
+    freeze_primitive: Annotated[bool, Needs("primitive")] = True
+    """Whether that primitive is frozen; otherwise it continues to learn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferSettings(PrimitiveTransferSettings):
+    """Transfer (section II-D)."""
+
+    controller: Annotated[str, Example("runs/walk")] | None = None
+    """Run or shipped agent whose best controller is transferred, with its observation statistics. It keeps learning."""
+
+
+SHES_SECTIONS: Mapping[str, type[Settings]] = {
+    "evolution": EvolutionSettings,
+    "exploration": ExplorationSettings,
+    "networks": NetworkSettings,
+    "hierarchy": HierarchySettings,
+    "estimate": EstimateSettings,
+    "transfer": TransferSettings,
+}
+"""Settings of a controller and its primitive."""
+PRIMITIVE_SECTIONS: Mapping[str, type[Settings]] = {
+    "evolution": EvolutionSettings,
+    "networks": NetworkSettings,
+    "hierarchy": PrimitiveSettings,
+    "estimate": PrimitiveEstimateSettings,
+    "transfer": PrimitiveTransferSettings,
+}
+"""Settings of a primitive alone."""
+SES_SECTIONS: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "networks": NetworkSettings}
+"""Settings of one policy without goals."""

@@ -1,0 +1,149 @@
+"""The search for a way to the target by going back: the mean primitive walks from places where it has been.
+
+It asks for a simulator that can be put back into a state, and for nothing else: neither reward nor map nor target
+direct it. Everything is decided here, in the parent process; workers run episodes of one decision.
+
+Source: Ecoffet et al. 2021 (Go-Explore); `docs/learning.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shes.backends.backend import Backend
+from shes.es.level import LevelParameters
+from shes.es.streams import Purpose, stream
+from shes.evolution.archive import Archive, Reached
+from shes.evolution.state import TrainState
+from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
+from shes.rollout.roll_out import roll_out_tasks
+from shes.types import BoolArray, F64Array, IntArray
+
+WALKERS = 64
+SLICE_STEPS = 32_000
+"""Environment steps of a slice of the search, at least."""
+SLICES = 10
+"""Slices in a generation in which nothing else can be learned."""
+MIN_SPEED_M_S = 0.15
+"""Mean speed of the first walkers towards their goals with which a search begins.
+
+The shipped walkers have 0.71 in Maze, 0.57 in Push and, between the walls of Fall, 0.25; an untrained ant has 0.005.
+"""
+_DECISIONS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaySearch:
+    """A search in the environment of a run."""
+
+    decode: Callable[[F64Array], tuple[IntArray, F64Array, BoolArray, BoolArray]]
+    """Returns cells [N, K], positions [N, X], and whether robots are upright and have succeeded [N], by state."""
+    start: Archive
+    interval: int
+    """Control steps of a decision."""
+    interval_s: float
+    """The same in seconds."""
+    horizon: int
+    """Most control steps from the reset to a place."""
+    goal_distance: float
+    """Distance of the primitive's goals in metres."""
+    slices: int = 1
+    """Most slices in a generation until a way is known; later it is one."""
+
+    @property
+    def decisions(self) -> int:
+        """Number of decisions of a walker."""
+        return max(1, min(_DECISIONS, self.horizon // self.interval))
+
+
+def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
+    """Return `state` after more of the search, which its environment steps include.
+
+    A search begins with a primitive that walks, which the first walkers show. It ends when a way is known that several
+    slices have not shortened.
+    """
+    if search is None or state.archive is None or state.archive.is_over:
+        return state
+    archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
+    generation = Generation(
+        levels=LevelParameters.of_all(state.levels[-1:]),
+        sigma=0.0,
+        episodes_per_policy=1,
+        is_evaluation=False,
+        branch_steps=search.interval,
+        is_exploration=True,
+    )
+    for _ in range(search.slices):
+        last_step = archive.env_steps + SLICE_STEPS
+        archive, speed = _walk(archive, search, generation, rng, backend)
+        if not state.archive.has_begun and speed < MIN_SPEED_M_S:
+            archive = replace(state.archive, env_steps=archive.env_steps)
+            break
+        while archive.env_steps < last_step:
+            archive, _ = _walk(archive, search, generation, rng, backend)
+        archive = archive.after_slice()
+        if archive.way_steps:
+            break
+    num_steps = archive.env_steps - state.archive.env_steps
+    return replace(state, archive=archive, env_steps=state.env_steps + num_steps)
+
+
+def _walk(
+    archive: Archive, search: WaySearch, generation: Generation, rng: np.random.Generator, backend: Backend
+) -> tuple[Archive, float]:
+    """Return the archive after a few decisions of walkers that begin in its cells, and their speed to the goals."""
+    cells = archive.choose(rng, WALKERS, search.horizon - search.decisions * search.interval)
+    archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
+    starts = [
+        Snapshot(state=archive.states[cell] if archive.steps[cell] else None, steps=int(archive.steps[cell]))
+        for cell in cells
+    ]
+    walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
+    progress_m, found = 0.0, list[Reached]()
+    for angle in wander(rng, search.decisions, WALKERS):
+        direction, seeds = np.stack([np.cos(angle), np.sin(angle)], axis=1), rng.integers(0, 2**63, WALKERS).tolist()
+        goals = search.goal_distance * direction
+        tasks = [
+            _task(walker, seeds[walker], replace(start, goals=goals[walker : walker + 1]))
+            for walker, start in zip(walkers.tolist(), starts, strict=True)
+        ]
+        results = roll_out_tasks(tasks, generation, backend)
+        archive = replace(archive, env_steps=archive.env_steps + int(results.steps.sum()))
+        lives = np.array([(walker, 0) in results.snapshots for walker in walkers.tolist()])
+        walkers, nodes = walkers[lives], nodes[lives]
+        if not len(walkers):
+            break
+        starts = [results.snapshots[walker, 0] for walker in walkers.tolist()]
+        states = np.stack([each.state for each in starts if each.state is not None])
+        places, positions, is_upright, is_success = search.decode(states)
+        progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())
+        archive, nodes = archive.grown(nodes, positions), len(archive.parents) + np.arange(len(walkers))
+        found.append(
+            Reached(
+                cells=places[is_upright],
+                states=states[is_upright],
+                steps=np.array([each.steps for each in starts])[is_upright],
+                nodes=nodes[is_upright],
+                is_success=is_success[is_upright],
+            )
+        )
+    for reached in found:
+        archive = archive.entered(reached)
+    return archive, progress_m / (WALKERS * search.decisions * search.interval_s)
+
+
+def _task(walker: int, seed: int, start: Snapshot) -> EpisodeTask:
+    """Return the task of a walker's next decision."""
+    return EpisodeTask(
+        member=walker,
+        noise_index=(0,),
+        signs=((0,),),
+        slots=(0,),
+        seeds=(seed,),
+        records_statistics=False,
+        start=start,
+        kept_slot=0,
+    )

@@ -1,1 +1,0 @@
-"""Hierarchy: goals, intrinsic rewards, agents, and the loop over environment steps."""

@@ -1,1 +1,0 @@
-"""Policies: networks over flat parameter vectors."""

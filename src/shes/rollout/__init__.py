@@ -1,0 +1,1 @@
+"""Rollouts: the only loop over environment steps, its tasks and results, and the worker."""

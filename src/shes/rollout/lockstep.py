@@ -1,0 +1,291 @@
+"""The only loop over environment steps: many policies in lockstep.
+
+A worker has P lanes. A lane runs the R episodes of a task, each in its own slot: those of one member, or of several
+members of a mirrored group, which share their noise. A finished episode leaves the physics and the statistics but keeps
+its row in the lane's matmul, so results do not depend on which members share a worker. On the CPU, a free lane is
+refilled at once. On a device, where transfers are expensive, all lanes are refilled together.
+
+The rollout's own state is in NumPy arrays; the environment and the agent use arrays of their module `xp`. Every step
+waits for the device twice: to check that actions are finite, and to find the episodes that have ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from shes.agents.agent import AgentDesign
+from shes.envs.episode_batch import EpisodeBatch
+from shes.errors import PolicyError
+from shes.es.level import perturb
+from shes.es.noise import NoiseTable
+from shes.es.statistics import Moments
+from shes.host_arrays import to_host
+from shes.rollout.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
+from shes.rollout.exploration import Exploration
+from shes.rollout.snapshots import SnapshotRecorder
+from shes.types import BoolArray, F32Array, F64Array, IntArray
+
+NumberedTask = tuple[int, EpisodeTask]
+"""A task with its number."""
+_NONE_LEFT: Any = object()
+
+
+@dataclass(kw_only=True)
+class _Lane:
+    """A lane that runs a task."""
+
+    number: int
+    task: EpisodeTask
+    running: set[int]
+    """Indices in `task.slots` of the episodes that have not ended."""
+    results: EpisodeResults
+
+
+class Rollout:
+    """Runs episodes of one environment with agents of one design, in one thread."""
+
+    def __init__(
+        self,
+        design: AgentDesign,
+        make_batch: Callable[[int], EpisodeBatch],
+        num_lanes: int,
+        rows_per_lane: int,
+        horizon: int,
+        members_per_lane: int = 1,
+    ) -> None:
+        """Allocate `num_lanes` lanes of `rows_per_lane` episodes of at most `horizon` steps.
+
+        `make_batch` returns the environment for a number of episodes N = P * R. The episodes of a lane belong to
+        `members_per_lane` members, which share their noise.
+        """
+        self.rows_per_lane, self.horizon, self.members_per_lane = rows_per_lane, horizon, members_per_lane
+        self.design = design
+        self.batch = make_batch(num_lanes * rows_per_lane)
+        self.xp = self.batch.xp
+        self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
+        self._lanes: list[_Lane | None] = [None] * num_lanes
+        rows = num_lanes * rows_per_lane
+        self._exploration = Exploration(self.agent, horizon, self.batch.action_size)
+        self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
+        self._running: IntArray = np.zeros(0, dtype=np.int64)
+        self._steps: IntArray = np.zeros(rows, dtype=np.int64)
+        self._intrinsic_return: F64Array = self.xp.zeros(rows)
+        self._seconds: F64Array = np.zeros(len(PARTS))
+        self._recorder: SnapshotRecorder | None = None
+
+    @property
+    def num_lanes(self) -> int:
+        """Number of lanes, P."""
+        return len(self._lanes)
+
+    def run(
+        self,
+        work: Iterator[NumberedTask | None],
+        generation: Generation,
+        table: NoiseTable,
+        on_step: Callable[[], None] = lambda: None,
+    ) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
+
+        None in `work` means that no more tasks are to be started until an episode has ended. `on_step` is called after
+        every step. A PolicyError is raised for a policy that returned NaN or infinity.
+        """
+        self.batch.set_way(generation.way)
+        self._exploration.begin(generation)
+        num_goals = generation.snapshot_goals
+        self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
+        self.agent.normalise_by(generation.levels)
+        if self.agent.shares_noise:
+            self.agent.centre_on(generation.levels)
+        self._lanes = [None] * self.num_lanes
+        self._is_running[:] = False
+        self._running = np.flatnonzero(self._is_running)
+        means = [self.xp.asarray(level.theta) for level in generation.levels]
+        is_exhausted = False
+        while True:
+            free = [place for place, lane in enumerate(self._lanes) if lane is None]
+            if not is_exhausted and free and not (self.batch.starts_together and len(free) < self.num_lanes):
+                started: dict[int, NumberedTask] = {}
+                for place in free:
+                    numbered = next(work, _NONE_LEFT)
+                    is_exhausted = numbered is _NONE_LEFT
+                    if numbered is None or is_exhausted:
+                        break
+                    started[place] = numbered
+                if started:
+                    self._start(started, means, generation, table)
+            if not len(self._running):
+                return
+            while not len(ended := self._step()):
+                on_step()
+            yield from self._finish(ended)
+
+    def _start(
+        self, started: dict[int, NumberedTask], means: list[F32Array], generation: Generation, table: NoiseTable
+    ) -> None:
+        """Start tasks in free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
+        slots: list[int] = []
+        seeds: list[int] = []
+        for place, (number, task) in started.items():
+            self._perturb(place, task, means, generation.sigma, table)
+            slots += [place * self.rows_per_lane + slot for slot in task.slots]
+            seeds += task.seeds
+            if self._exploration.is_on:
+                self._exploration.draw(place, task)
+            results = _empty_results(task, self.design.observation_sizes)
+            self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
+        rows = np.array(slots)
+        starts = [None if task.start is None else task.start.state for _, task in started.values() for _ in task.slots]
+        self.batch.reset(rows, seeds, starts if any(state is not None for state in starts) else ())
+        # If none is running, lanes without work start as well: steps are faster if all lanes have the same clock.
+        self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
+        for place, (_, task) in started.items():
+            if task.start is not None:
+                self.agent.go_on(place, task.start.steps, task.start.goals)
+        if self._recorder is not None:
+            self._recorder.begin(started)
+        if self._exploration.is_on:
+            self._exploration.upload()
+        self._intrinsic_return[self.xp.asarray(rows)] = 0
+        self._steps[rows] = 0
+        self._is_running[rows] = True
+        self._running = np.flatnonzero(self._is_running)
+        self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
+
+    def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
+        """Write the parameters of a task into lane `place`."""
+        agent = self.agent
+        for level, mean in enumerate(means):
+            noise = table.slice(task.noise_index[level], len(mean))
+            scales = [sigma * signs[level] for signs in task.signs]
+            if agent.shares_noise:
+                agent.theta[level][place] = noise
+                each = np.repeat(np.array(scales, np.float32), self.rows_per_lane // self.members_per_lane)
+                agent.scale[level][place, :, 0] = self.xp.asarray(each)
+            else:
+                perturb(mean, noise, scales[0], agent.theta[level][place])
+
+    def _step(self) -> IntArray:
+        """Advance every running episode by one control step, and return the rows of those that ended."""
+        batch, agent = self.batch, self.agent
+        start, physics_s = perf_counter(), batch.physics_s
+        seen = (batch.observe(), batch.position, batch.heading)
+        observed = perf_counter()
+        action = agent.act(*seen, goal=batch.goal, **self._exploration.of_step())
+        if not np.isfinite(action).all():
+            self._refuse(action)
+        if self._recorder is not None:
+            self._recorder.take(self._is_running, self._steps)
+        acted = perf_counter()
+        batch.step(self._running, action)
+        self._steps += 1  # rows that are not running are ignored
+        stepped = perf_counter()
+        if self.design.intrinsic_level is not None:
+            # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
+            self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
+        paid = perf_counter()
+        ended = self._is_running & (to_host(batch.terminated | batch.diverged) | (self._steps >= self.horizon))
+        physics_s, policy_s = batch.physics_s - physics_s, acted - observed + paid - stepped
+        # A device may compute the physics in the background, so the task's time is the remainder.
+        self._seconds += (physics_s, policy_s, perf_counter() - start - physics_s - policy_s)
+        return np.flatnonzero(ended)
+
+    def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
+        """Store the results of the episodes in `rows`, and yield the results of lanes that have finished."""
+        self._is_running[rows] = False
+        self._running = np.flatnonzero(self._is_running)
+        outcomes, moments = self._outcomes(rows)
+        for i, row in enumerate(rows.tolist()):
+            place, slot = divmod(row, self.rows_per_lane)
+            lane = self._lanes[place]
+            assert lane is not None
+            k = lane.task.slots.index(slot)
+            results = lane.results
+            results.outcomes[k] = outcomes[i]
+            for policy, mine, summed in zip(self.design.policies, results.moments or (), moments, strict=False):
+                for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
+                    taken[k] = of_all[i]
+                policy.pool(mine.total[k], mine.total_squares[k])
+            if lane.task.kept_slot == slot:
+                has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
+                results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
+            if self._recorder is not None:
+                results.snapshots[k] = self._recorder.of(row)
+            lane.running.discard(k)
+            if not lane.running:
+                self._lanes[place] = None
+                results.seconds[:] = self._seconds
+                self._seconds[:] = 0
+                yield lane.number, results
+
+    def _snapshot(self, row: int, task: EpisodeTask) -> Snapshot:
+        """Return a snapshot of the end of the episode in `row`."""
+        before = 0 if task.start is None else task.start.steps
+        state = self.batch.states(np.array([row]))[0]
+        return Snapshot(state=state, steps=before + int(self._steps[row]))
+
+    def _outcomes(self, rows: IntArray) -> tuple[Outcomes, list[tuple[F64Array, ...]]]:
+        """Return the outcomes of the episodes in `rows`, and the moments of each level."""
+        batch, agent, ids = self.batch, self.agent, self.xp.asarray(rows)
+        quantities: dict[str, Any] = {
+            "environment_returns": batch.running_return,
+            "score": batch.score,
+            "success": batch.success,
+            "goals_reached": agent.goals_reached,
+            "has_diverged": batch.diverged,
+            "has_terminated": batch.terminated & ~batch.diverged,
+            "has_fallen": batch.fallen & ~batch.diverged,
+            "final_position": batch.position,
+        }
+        # A single transfer. float64 represents every count exactly.
+        extra = (self._intrinsic_return, batch.reward_after_end)
+        parts = [part[ids].reshape(len(rows), -1) for part in (*extra, *quantities.values())]
+        found = to_host(np.concatenate([part.astype(np.float64) for part in parts], axis=1))
+        ends = np.cumsum([part.shape[1] for part in parts])
+        intrinsic_return, reward_after_end, *columns = np.split(found, ends[:-1], axis=1)
+        outcomes = empty_outcomes(len(self.design.dims), len(rows))
+        for name, column in zip(quantities, columns, strict=True):
+            outcomes[name] = column.reshape(outcomes[name].shape)
+        outcomes["steps"] = self._steps[rows]
+        outcomes["environment_returns"] += reward_after_end[:, 0] * (self.horizon - self._steps[rows])
+        outcomes["returns"] = outcomes["environment_returns"][:, None]
+        if self.design.intrinsic_level is not None:
+            outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]
+        moments = [
+            tuple(to_host(sums[ids]) for sums in (each.count, each.total, each.total_squares))
+            for each in (agent.moments if agent.is_recording else ())
+        ]
+        return outcomes, moments
+
+    def _refuse(self, action: F32Array) -> None:
+        """Raise PolicyError for the member whose policy returned NaN or infinity."""
+        rows = np.flatnonzero(~np.isfinite(to_host(action)).all(axis=1))
+        for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows last
+            lane = self._lanes[row // self.rows_per_lane]
+            if lane is None:
+                continue
+            place, slot = divmod(row, self.rows_per_lane)
+            seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
+            bad = [not bool(np.isfinite(theta).all()) for theta in self.agent.parameters(place)]
+            which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
+            member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
+            raise PolicyError(
+                f"the policy of member {member} returned NaN or infinity at step {int(self._steps[row])}"
+                f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
+                f"{seed}. Start another run with a lower --learning-rate or --sigma."
+            )
+
+
+def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
+    """Return empty results for the episodes of `task`, whose levels have `sizes` inputs."""
+    k = len(task.slots)
+    return EpisodeResults(
+        outcomes=empty_outcomes(len(sizes), k),
+        moments=tuple(Moments.zeros(k, size) for size in sizes) if task.records_statistics else None,
+        snapshots=[None] * k,
+    )

@@ -1,0 +1,217 @@
+"""What the tables say of a generation of an evolution strategy, and of runs, computed once more by other means."""
+
+import math
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.stats import rankdata
+
+from shes.backends.serial import SerialBackend
+from shes.es.level import LevelState, LevelUpdate
+from shes.es.optimizers import Adam
+from shes.evolution.algorithm import GenerationReport, evolve
+from shes.evolution.columns import columns
+from shes.evolution.estimates import Population
+from shes.evolution.state import TrainState
+from shes.rollout.episodes import PARTS, Generation
+from shes.rollout.results import PopulationResults
+from shes.rollout.worker import RolloutWorker
+from shes.runs.build import build_algorithm
+from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
+from tests.e2e import runs
+
+
+def population(returns, noise_index, signs=None, levels=(0, 1), rate=0.03125, **outcomes):
+    """Return a population with these `returns` [L, n, E] and other quantities [n, E]."""
+    results = PopulationResults.empty(len(returns), *np.shape(returns)[1:])
+    results.returns[:] = returns
+    for name, values in outcomes.items():
+        results.outcomes[name] = values
+    episodes = results.outcomes.shape[1]
+    generation = Generation(levels=(), sigma=2 * rate, episodes_per_policy=episodes, is_evaluation=False)
+    signs = np.ones((len(noise_index[0]), 1, len(levels))) if signs is None else signs
+    return Population(levels=levels, signs=np.array(signs, np.int8), noise_index=np.array(noise_index), tasks=[],
+                      generation=generation, learning_rate=rate, results=results)  # fmt: skip
+
+
+def row_of(*populations):
+    thetas = {"controller": [3, 4], "primitive": [0, 0, 0, 0, 0]}
+    levels = tuple(LevelState.start(name, np.array(theta, np.float32), Adam(), 1) for name, theta in thetas.items())
+    updates = (
+        LevelUpdate(level=levels[0], gradient_norm=0.25, halves_cosine=-0.5, update_ratio=0.125),
+        LevelUpdate(level=levels[1]),
+    )
+    state = TrainState(seed=0, generation=9, env_steps=1000, levels=levels)
+    return columns(
+        GenerationReport(state=state, populations=populations, updates=updates, rollout_s=1.25, update_s=0.5)
+    )
+
+
+WHOLE = population(
+    [[[1, 3], [5, 7]], [[-1, -3], [0, 0]]],
+    [[2, 2], [0, 4]],
+    score=[[0, 1], [2, 3]],
+    success=[[False, True], [True, True]],
+    steps=[[10, 20], [30, 40]],
+    has_terminated=[[True, False], [False, False]],
+    has_diverged=[[False, False], [False, True]],
+    goals_reached=[[0, 1], [3, 1]],
+)
+WHOLE.results.seconds[:] = [3.00004, 2, 1.5]
+
+
+def test_a_row_holds_what_the_generation_saw():
+    row = row_of(WHOLE)
+    nothing = {name for name, value in row.items() if math.isnan(value)}
+    assert nothing == {f"primitive_{name}" for name in ("gradient_norm", "halves_cosine", "update_ratio")}
+    assert {name: value for name, value in row.items() if name not in nothing} == {
+        "controller_return_mean": 2.5,  # of the members' means: 2, and 3 because 7, diverged, counts as the worst, 1
+        "controller_return_max": 3.0,
+        "primitive_return_mean": -1.75,  # 0, diverged, counts as -3
+        "primitive_return_max": -1.5,
+        "score_mean": 1.5,
+        "success_rate": 0.75,
+        "episode_steps_mean": 25.0,
+        "terminated_rate": 0.25,
+        "diverged_rate": 0.25,
+        "diverged_episodes": 1,
+        "episodes_per_policy": 2,
+        "sigma": 0.0625,
+        "learning_rate": 0.03125,
+        "goals_reached_mean": 1.25,
+        "controller_noise_distinct": 1,
+        "controller_noise_overlapping": 2,  # twice the same place
+        "controller_rank_ties": 0.0,
+        "controller_gradient_norm": 0.25,
+        "controller_halves_cosine": -0.5,
+        "controller_update_ratio": 0.125,
+        "controller_theta_norm": 5.0,
+        "primitive_noise_distinct": 2,
+        "primitive_noise_overlapping": 2,  # 0 and 4 share a normal in vectors of 5
+        "primitive_rank_ties": 0.0,
+        "primitive_theta_norm": 0.0,
+        "rollout_s": 1.25,
+        "update_s": 0.5,
+        "physics_s": 3.0,
+        "policy_s": 2.0,
+        "task_s": 1.5,
+    }
+
+
+def test_a_primitive_on_branches_has_the_numbers_of_its_pairs():
+    """The returns, ties and noise of its level, and columns of their own; the other columns are whole episodes'."""
+    pairs = population([[[1], [2], [2], [9]]], [[6, 8]], [[[1], [-1]]] * 2, (1,), 0.07,
+                       steps=[[50], [50], [50], [30]], has_terminated=[[False]] * 3 + [[True]])  # fmt: skip
+    pairs.results.seconds[:] = [1, 0.5, 0.25]
+    before, row = row_of(WHOLE), row_of(WHOLE, pairs)
+    assert {name: value for name, value in row.items() if repr(value) != repr(before.get(name))} == {
+        "primitive_return_mean": 3.5,
+        "primitive_return_max": 9.0,
+        "primitive_rank_ties": 0.5,
+        "branch_steps_mean": 45.0,
+        "branch_terminated_rate": 0.25,
+        "primitive_sigma": 0.14,
+        "primitive_learning_rate": 0.07,
+        "physics_s": 4.0,
+        "policy_s": 2.5,
+        "task_s": 1.75,
+    }
+
+
+@pytest.mark.parametrize(
+    ("returns", "share"),
+    [([1, 2, 3, 4], 0.0), ([1, 1, 1, 1], 1.0), ([1, 2, 1, 4], 0.5), ([2, 2, 7, 7], 1.0), ([0.0, -0.0, 3, 4], 0.5)],
+)
+def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
+    returns = np.array([returns, [0] * 4])[:, :, None]
+    row = row_of(population(returns, [[0] * 4, [0, 5, 10, 14]]))
+    assert (row["controller_rank_ties"], row["primitive_rank_ties"]) == (share, 1.0)
+    assert row["primitive_noise_overlapping"] == 2  # those that start at 10 and 14: vectors have 5 normals
+    signs = np.array([[[1, 0]], [[1, 0]], [[0, 0]], [[0, 0]]])  # half of them the controller, nobody the primitive
+    row = row_of(population(returns, [[0, 9, 9, 9], [7, 7, 7, 7]], signs))
+    assert (row["controller_noise_distinct"], row["controller_rank_ties"]) == (2, float(np.ptp(returns[0, :2]) == 0))
+    assert (row["primitive_noise_distinct"], row["primitive_noise_overlapping"]) == (0, 0)
+    assert math.isnan(row["primitive_rank_ties"])
+
+
+# The columns of real runs, computed once more by other means.
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A run that keeps every checkpoint, with SGD: its step is the learning rate times the velocity.
+
+    Its rewards are dense: of a sparse one, half a population may have no gradient at all.
+    """
+    plain = {"optimizer": "sgd", "weight_decay": 0.0, "population_size": 16, "sigma": 0.1}
+    changing = {"sigma_end": 0.2, "learning_rate_end": 0.001, "schedule_generations": 2}
+    return runs.train_tiny(
+        tmp_path_factory.mktemp("every") / "run", "point-maze", keep_checkpoints=1, **plain, **changing
+    )
+
+
+def test_update_columns_are_what_the_checkpoints_say(path):
+    table = read_csv(path / "progress.csv")
+    np.testing.assert_allclose(table["sigma"], [0.1, math.sqrt(0.1 * 0.2), 0.2, 0.2])
+    np.testing.assert_allclose(table["learning_rate"], [0.01, math.sqrt(0.01 * 0.001), 0.001, 0.001])
+    for row in range(4):
+        before, after = (runs.state(path, row + more).levels for more in (0, 1))
+        for old, new in zip(before, after, strict=True):
+            step = np.linalg.norm(new.theta.astype(np.float64) - old.theta)
+            velocity, last = (each.optimizer.slots["velocity"].astype(np.float64) for each in (new, old))
+            gradient = np.linalg.norm(velocity - 0.9 * last) / 0.1
+            assert table[f"{old.name}_gradient_norm"][row] == pytest.approx(gradient, rel=1e-4)
+            assert step == pytest.approx(np.linalg.norm(velocity) * table["learning_rate"][row], rel=1e-2)
+            ratio = step / np.linalg.norm(old.theta.astype(np.float64))
+            assert table[f"{old.name}_update_ratio"][row] == pytest.approx(ratio, rel=1e-2)
+            assert table[f"{old.name}_theta_norm"][row] == pytest.approx(np.linalg.norm(new.theta), rel=1e-6)
+
+
+@pytest.mark.parametrize("generation", [1, 3])
+def test_the_cosine_is_that_of_two_half_populations(path, generation):
+    learner, table = build_algorithm(RunFolder.open(path).read_config()), read_csv(path / "progress.csv")
+    state = runs.state(path, generation - 1)
+    with SerialBackend(partial(RolloutWorker, learner.plan())) as backend:
+        members = next(evolve(state, learner.hyperparameters, learner.table, backend)).populations[0]
+    for i, level in enumerate(state.levels):
+        fitness = members.results.returns[i, :, 0]  # one episode a member
+        ranks, signs = rankdata(fitness).reshape(members.signs.shape[:2]) / 15, members.signs[:, :, i]
+        noise = [learner.table.slice(index, len(level.theta)) for index in members.noise_index[i].tolist()]
+        halves = np.split((ranks * signs).sum(axis=1)[:, None] * np.array(noise, float), 2)
+        one, other = (half.sum(axis=0) for half in halves)
+        cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
+        assert table[f"{level.name}_halves_cosine"][generation - 1] == pytest.approx(cosine, abs=1e-4)
+        tied = np.mean([(fitness == each).sum() > 1 for each in fitness])
+        assert table[f"{level.name}_rank_ties"][generation - 1] == tied
+
+
+def test_the_parts_of_a_rollout_are_no_longer_than_it(path):
+    """One worker in this process; that none is left out, a clock that is asked says in rollout/test_rollout.py."""
+    table = read_csv(path / "progress.csv")
+    parts = np.array([table[f"{name}_s"] for name in PARTS])
+    assert parts.min() >= 0
+    assert parts.max() > 0
+    assert (parts.sum(axis=0) <= np.array(table["rollout_s"]) + 0.001).all()  # rounded to 0.0001 each
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "name"),
+    [("point-gather", {"algorithm": "es"}, "policy"), ("point-flagrun", {}, "primitive")],
+)
+def test_a_run_of_one_level_has_the_columns_of_that_level_alone(tmp_path, env, settings, name):
+    table = read_csv(runs.train_tiny(tmp_path / "run", env, generations=2, **settings) / "progress.csv")
+    others = tuple(f"{other}_" for other in {"controller", "primitive", "policy"} - {name})
+    assert {f"{name}_return_mean", f"{name}_halves_cosine", f"{name}_rank_ties", f"{name}_theta_norm"} <= set(table)
+    assert not [column for column in table if column.startswith(others) and column != "policy_s"]
+    assert ("goals_reached_mean" in table) is (name == "primitive")
+    assert all(len(column) == 2 for column in table.values())
+
+
+@pytest.mark.parametrize(("distance", "reached"), [(0.1, 4), (1000.0, 0)])
+def test_goals_are_counted_once_each_time_they_are_reached(tmp_path, distance, reached):
+    """Near goals lie where the robot can be within a step: in 20 steps as many are reached as set, and no more."""
+    goals = {"goal_distance": distance, "minimum_goal_distance": False, "controller_interval": 5}
+    table = read_csv(runs.train_tiny(tmp_path / "run", generations=2, **goals) / "progress.csv")
+    assert table["goals_reached_mean"] == [reached, reached]

@@ -1,0 +1,260 @@
+"""The search for a way beside evolution: when it goes on, what it costs, and whom its way guides."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import shes
+from shes.backends.backend import Backend
+from shes.errors import ConfigError, UnknownNameError
+from shes.evolution import way_search
+from shes.evolution.algorithm import roll_out
+from shes.evolution.archive import PATIENCE, Archive
+from shes.evolution.estimates import draw_episodes
+from shes.rollout.episodes import EpisodeResults, Snapshot
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.make_config import make_config
+from shes.runs.tables import read_csv
+from tests.e2e import runs
+from tests.rollout.made_up import outcomes
+from tests.runs.recorder import recording
+
+SEARCH = {
+    "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),
+    "target": (5.5, 0.0), "explore_horizon": 60,
+}  # fmt: skip
+WALKERS = way_search.WALKERS
+
+
+def built(env="point-maze", **settings):
+    return build_algorithm(make_config(env, "smoke", {**SEARCH, "hidden": (4,), "horizon": 20, **settings}))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Searches begin at once, with short slices."""
+    monkeypatch.setattr(way_search, "MIN_SPEED_M_S", -1e9)
+    monkeypatch.setattr(way_search, "SLICE_STEPS", 2000)
+
+
+class Steering(Backend):
+    """Moves walkers from their places to their goals, at a `speed`, without physics; calls a place near (7, 0) solved.
+
+    States are x, y and 0. Walkers fall where x is below -3, and lie where y is above 3.
+    """
+
+    def __init__(self, speed):
+        self.speed, self.generations, self.starts = speed, [], []
+
+    def broadcast(self, state):
+        self.generations.append(state)
+
+    def map(self, tasks):
+        for task in tasks:
+            self.starts.append(task.start)
+            place = np.zeros(3) if task.start.state is None else task.start.state
+            state = place + self.speed * np.append(task.start.goals[0] / 4, 0)
+            end = Snapshot(state=state, steps=task.start.steps + 10) if state[0] > -3 else None
+            yield EpisodeResults(outcomes=outcomes(returns=np.zeros((1, 1)), steps=[10]), moments=None, snapshots=[end])
+
+    def close(self):
+        """Do nothing."""
+
+
+def decode(states):
+    places = states[:, :2]
+    return np.round(places).astype(int), places.copy(), places[:, 1] <= 3, np.hypot(*(places - (7, 0)).T) < 2
+
+
+def searched(speed, generations, horizon=200, **settings):
+    """Return the states of a search without physics after each generation, and its backend."""
+    start = Archive.start(np.zeros((1, 2), np.int64), np.zeros((1, 2)), 3)
+    search = way_search.WaySearch(decode=decode, start=start, interval=10, interval_s=1.0, horizon=horizon,
+                                  goal_distance=4.0, **settings)  # fmt: skip
+    state, backend, found = replace(built().start(3), archive=start), Steering(speed), []
+    for generation in range(generations):
+        state = way_search.explore(replace(state, generation=generation), search, backend)
+        found.append(state)
+    return found, backend
+
+
+def test_a_search_finds_a_way_shortens_it_and_ends():
+    found, backend = searched(1.0, 40)
+    archive = found[-1].archive
+    assert (archive.is_over, archive.stalled) == (True, PATIENCE)
+    assert archive.way_steps == 10 * (len(archive.way) - 1)
+    assert archive.way[0].tolist() == [0, 0]
+    assert np.hypot(*(archive.way[-1] - (7, 0))) < 2
+    assert np.linalg.norm(np.diff(archive.way, axis=0), axis=1) == pytest.approx(1)  # a step of a walker each
+    known = [state.archive.way_steps for state in found if state.archive.way_steps]
+    assert known == sorted(known, reverse=True)
+    assert 60 <= known[-1] <= 90  # the shortest has six decisions
+    assert (archive.positions[archive.nodes, 1] <= 3).all()  # where walkers lie no cell is entered
+    assert (archive.positions[:, 0] > -3).all()
+    assert found[-1].env_steps == archive.env_steps == 10 * len(backend.starts)
+    is_over = [state.archive.is_over for state in found]
+    assert found[-1].env_steps == found[is_over.index(True)].env_steps  # from then on nothing is paid
+    assert max(start.steps for start in backend.starts) < 200  # five decisions before the horizon at the latest
+    assert {(each.kind, each.sigma, each.is_evaluation) for each in backend.generations} == {("exploration", 0, False)}
+
+
+def test_walkers_turn_at_times_each_in_directions_of_its_own():
+    """Every decision is a goal at the goal distance; a slice takes its steps, and counts where its walkers begin."""
+    found, backend = searched(1.0, 2)
+    goals = np.array([start.goals for start in backend.starts[: 5 * WALKERS]]).reshape(-1, WALKERS, 2)
+    assert np.linalg.norm(goals, axis=2) == pytest.approx(4)
+    turned = np.diff(np.arctan2(goals[..., 1], goals[..., 0]), axis=0)
+    turned = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
+    assert 0.6 < (turned < 0.9).mean() < 0.95  # the others are new directions
+    assert len(np.unique(goals[0].round(6), axis=0)) == WALKERS
+    first, both = (state.env_steps for state in found)
+    assert min(first, both - first) >= way_search.SLICE_STEPS
+    later = [start.goals[0] for start in backend.starts[first // 10 :][:WALKERS]]
+    assert not np.isclose(goals[0], later).any()
+    archive, begun = found[-1].archive, sum(start.steps == 0 for start in backend.starts)
+    assert archive.chosen[archive.steps == 0].tolist() == [begun]
+    assert archive.chosen.sum() % WALKERS == 0
+    assert archive.chosen.sum() > begun >= WALKERS
+
+
+def test_a_frozen_primitive_searches_until_a_way_is_known(quick, monkeypatch):
+    """Many slices in one generation, as long as nothing else can be learned."""
+    monkeypatch.setattr(way_search, "SLICE_STEPS", 1)  # a slice is one walk
+    (slowly, _), (found, _), (limited, _) = searched(0.4, 12, 400), searched(0.4, 2, 400, slices=10), searched(
+        0.4, 1, 400, slices=2
+    )  # fmt: skip
+    assert 2 < [bool(state.archive.way_steps) for state in slowly].index(True) + 1 <= 10
+    assert [bool(state.archive.way_steps) for state in (*found, *limited)] == [True, True, False]
+    later = found[1].env_steps - found[0].env_steps
+    assert found[0].env_steps > limited[0].env_steps > later > 0  # afterwards it is one slice
+    frozen = {"primitive": "ant-walker", "explore": "archive", "target": (0.0, 16.0)}
+    for settings, slices in ((frozen, way_search.SLICES), ({}, 1)):
+        config = make_config("ant-maze", "laptop", settings)
+        assert build_algorithm(config).hyperparameters.search.slices == slices
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.1])
+def test_a_primitive_that_does_not_walk_is_asked_again(speed):
+    found, _ = searched(speed, 3)
+    assert [state.env_steps for state in found] == [number * WALKERS * 5 * 10 for number in (1, 2, 3)]
+    assert [len(state.archive.cells) for state in found] == [1, 1, 1]
+
+
+def test_no_walker_leaves_later_than_the_horizon_allows():
+    found, backend = searched(1.0, 3, horizon=30)
+    assert max(start.steps for start in backend.starts) == 20
+    assert found[-1].archive.way_steps == 0  # three decisions do not suffice
+    assert {start.state is None for start in backend.starts if start.steps == 0} == {True}
+
+
+def known_way(state, way=((0.0, 0), (3, 0.1), (6, 0), (6, 4))):
+    return replace(state, archive=replace(state.archive, way=np.array(way), way_steps=12))
+
+
+@pytest.mark.parametrize("estimate", ["episode", "interval"])
+def test_goals_wander_until_a_way_is_known(estimate):
+    algorithm = built(primitive_estimate=estimate)
+    state = algorithm.start(3)
+    before, after = (
+        draw_episodes(each, algorithm.hyperparameters, algorithm.table.size) for each in (state, known_way(state))
+    )
+    assert (before.generation.decisions, after.generation.decisions) == ("wander", None)
+    assert before.generation.way is None
+    assert after.generation.way.tolist() == [[3, 0.1], [6, 0], [6, 4]]
+    assert not before.generation.levels[0].theta.any()
+    assert after.generation.levels[0].theta.tolist() == state.levels[0].theta.tolist()
+    assert before.generation.levels[1].theta.tolist() == state.levels[1].theta.tolist()
+    assert not before.signs[..., 0].any()
+    assert (after.signs[..., 0] != 0).all()
+    assert before.signs[..., 1].tolist() == after.signs[..., 1].tolist()
+    assert {signs[0] for task in before.tasks for signs in task.signs} == {0}
+    seeds = [len({seed for task in draws.tasks for seed in task.seeds}) for draws in (before, after)]
+    group = after.signs.shape[1]  # it shares its seeds, but not if all its members are the same
+    assert seeds == [16 if estimate == "interval" else 16 // group, 16 // group]
+    if estimate == "interval":
+        with build_backend(algorithm.problem.settings, algorithm.plan()) as backend:
+            ends = roll_out(before, backend).results.final_position
+        assert len(np.unique(ends, axis=0)) == 16
+
+
+def trained(path, generations=3, **settings):
+    return runs.train_tiny(path, "point-push", **{**SEARCH, "generations": generations, **settings})
+
+
+def test_the_reward_of_training_leads_through_the_way_alone(quick, tmp_path):
+    """The steps of the search are steps of the run."""
+    with recording() as record:
+        path = trained(tmp_path / "run")
+    rows, way = read_csv(path / "progress.csv"), runs.state(path, 2).archive.way
+    assert [int(all_) - int(own) for all_, own in zip(rows["env_steps"], rows["exploration_steps"], strict=True)] == [
+        160, 320, 480,
+    ]  # fmt: skip
+    assert int(rows["exploration_steps"][0]) >= 2000
+    assert rows["cells"] == sorted(rows["cells"])
+    assert rows["cells"][0] > 1
+    training, evaluation = record.of("training")[-1], record.of("evaluation")[-1]
+    assert {each.generation.way is None for each in record.of("evaluation")} == {True}
+    assert len(way) > 2
+    for each, guide in ((training, training.generation.way.tolist()), (evaluation, [])):
+        batch = each.rollout.batch
+        batch.reset(np.array([0]), [0])
+        batch.step(np.array([0]), np.zeros((batch.num_episodes, 2)))
+        points = [batch.position[0].tolist(), *guide, batch.target[0].tolist()]
+        legs = [math.dist(one, other) for one, other in pairwise(points)]
+        skipped = [sum(legs[1:]) + math.dist(points[0], points[1])]
+        skipped += [math.dist(points[0], points[i]) + sum(legs[i:]) for i in range(1, len(points))]
+        assert min(abs(batch.reward[0] + each) for each in skipped) < 1e-6  # near waypoints are passed at once
+
+
+@pytest.mark.parametrize("primitive", ["interval", "episode"])
+def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path, primitive):
+    """A way is known after some slices, so that all kinds of states are compared; a shipped agent has the map alone."""
+    one = trained(tmp_path / "one", primitive_estimate=primitive)
+    two = trained(tmp_path / "two", 1, primitive_estimate=primitive, num_workers=3, backend="processes")
+    shes.resume(two, generations=3, num_workers=2)
+    assert runs.differences(one, two) == []
+    numbers = runs.numbers(one)
+    cells = [len(numbers[f"{name}.npz/archive/cells"]) for name in ("generation_000000", "last")]
+    assert 1 == cells[0] < cells[1]
+    assert numbers["last.npz/archive/way_steps"] > 0
+    algorithm, state = built("point-push", primitive_estimate=primitive), runs.state(one)
+    shipped = algorithm.without_training(state)
+    assert (len(shipped.archive.states), len(state.archive.states)) == (0, cells[1])
+    assert len(algorithm.explored(shipped).places) > 1
+    assert algorithm.explored(shipped).way.tolist() == state.archive.way[:, :2].tolist()
+    assert algorithm.from_arrays(algorithm.to_arrays(shipped)).archive.is_over
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "message"),
+    [
+        ("point-gather", {}, r"point-gather has no target with a way.*only Maze, Push and Fall.* Set --explore none"),
+        ("gymnasium:Pendulum-v1", {}, r"Pendulum-v1 has no target with a way.* Set --explore none"),
+        ("point-flagrun", {"primitive_view": None}, r"explore is not a setting of a run of point-flagrun.* Omit"),
+        ("point-maze", {"primitive_view": None, "algorithm": "es"}, r"explore is not a setting of .* algorithm 'es'"),
+        ("point-maze", {}, r"the training target is random\. Set --target, e\.g\. --target 0 16, or --explore none"),
+        ("point-maze", {"target": (8.0, 0.0)}, r"target \(0\.0, 16\.0\), but .* is \(8\.0, 0\.0\)\. Set --target 0 16"),
+        (
+            "point-push",
+            {"evaluation_target": (1.0, 2.5)},
+            r"target is \(0\.0, 19\.0\)\. Set --target 1 2\.5, or --expl",
+        ),
+        ("point-push", {"explore_horizon": 9}, r"must be at least controller_interval, 25.*, got 9\. Set"),
+        ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
+        (
+            "point-push",
+            {"primitive_view": "observation"},
+            r"sees the task's .* Set --primitive-view egocentric or prop",
+        ),
+        ("point-push", {"explore": "none", "explore_horizon": 9}, r"explore_horizon has no effect with explore 'none'"),
+        ("point-push", {"explore": "novelty"}, r"unknown explore 'novelty'\. Known: archive, none.*Set --explore"),
+    ],
+)
+def test_where_no_way_can_be_searched_for_the_fix_is_named(env, settings, message):
+    settings = {"explore": "archive", "primitive_view": "egocentric", **settings}
+    settings = {name: value for name, value in settings.items() if value is not None}
+    with pytest.raises((ConfigError, UnknownNameError), match=message):
+        make_config(env, "smoke", settings)

@@ -1,0 +1,156 @@
+"""A worker with a device: how many policies at a time, and what happens when its memory or its buffers are too small.
+
+The physics is that of the CPU here; a stand-in says what memory there is.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+import shes.rollout.worker
+from shes.errors import ConfigError
+from shes.rollout.lockstep import Rollout
+from shes.rollout.worker import RolloutWorker, lanes_in_memory, simulator_factory
+from shes.sim.cpu import CpuSimulator
+from shes.sim.warp import WarpSimulator
+from tests.evolution.test_worker import a_plan, returns_of, run
+
+MEMBERS = 7
+
+
+def on_device(**changes):
+    return RolloutWorker(replace(a_plan(), **{"device": "cuda", "chunk_size": 0, **changes}))
+
+
+def play(worker, **generation):
+    """Return the returns of a generation by number, and what the log says."""
+    results = run(worker, MEMBERS, MEMBERS, **generation)
+    return returns_of(results), [line for result in results.values() for line in result.log]
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return play(RolloutWorker(a_plan()))[0]
+
+
+@pytest.fixture
+def device(monkeypatch):
+    """A device with room for `fits` policies at a time, `step` its step; it notes how many were tried."""
+    found = SimpleNamespace(fits=100, tried=[], free=None, checked=0, overflow=None, step=None)
+
+    class Limited(Rollout):
+        def __init__(self, design, make_task, num_lanes, *others):
+            found.tried.append(num_lanes)
+            if num_lanes > found.fits:
+                raise RuntimeError("Failed to allocate 12 bytes on device 'cuda:0'")
+            super().__init__(design, make_task, num_lanes, *others)
+            self.batch.check_buffers = check
+            observe = self.batch.observe
+            self.batch.observe = lambda: (found.step and found.step(num_lanes), observe())[1]
+
+    def check():
+        found.checked += 1
+        if found.overflow:
+            raise found.overflow
+
+    memory = SimpleNamespace(free_bytes=lambda: found.free, release_memory=lambda: None)
+    monkeypatch.setattr(shes.rollout.worker, "Rollout", Limited)
+    monkeypatch.setattr(shes.rollout.worker, "WarpDevice", lambda _: memory)
+    monkeypatch.setattr(shes.rollout.worker, "simulator_factory", lambda *_: CpuSimulator)
+    return found
+
+
+def test_the_cpu_and_a_device_make_their_own_physics():
+    assert simulator_factory("cpu", None, None) is CpuSimulator
+    factory = replace(a_plan(), device="warp-cpu", njmax=4).simulator
+    assert (factory.func, factory.keywords) == (WarpSimulator, {"device": "warp-cpu", "nconmax": None, "njmax": 4})
+
+
+@pytest.mark.parametrize(("chunk_size", "tried"), [(0, MEMBERS), (5, 4)])
+def test_a_device_runs_all_at_once_or_in_even_chunks(device, expected, chunk_size, tried):
+    """Buffers are checked after every generation; an overflow ends it."""
+    worker = on_device(chunk_size=chunk_size)
+    for generation in (1, 2):
+        assert play(worker) == (expected, [])
+        assert device.checked == generation
+    assert device.tried == [tried]
+    device.overflow = ConfigError("Set --nconmax to 12.")
+    with pytest.raises(ConfigError, match="Set --nconmax to 12"):
+        play(worker)
+
+
+@pytest.mark.parametrize(("chunk_size", "tried"), [(0, [MEMBERS, 4, 2]), (6, [4, 2])])
+def test_what_does_not_fit_is_split_and_the_log_says_so_once(device, expected, chunk_size, tried):
+    device.fits, worker = 2, on_device(chunk_size=chunk_size)
+    numbers, lines = play(worker)
+    assert (numbers, device.tried) == (expected, tried)
+    assert len(lines) == len(tried) - 1
+    assert lines[-1] == "4 policies at a time are too many for the memory of device cuda: 2 from here on"
+    assert play(worker) == (expected, [])
+    assert device.tried == tried
+
+
+def test_memory_that_runs_out_on_the_way_costs_no_result(device, expected):
+    """Nor does a result come twice."""
+    steps = []
+
+    def step(num_lanes):
+        steps.append(num_lanes)
+        if num_lanes == 4 and len(steps) > 8:  # the first four have their results after six
+            raise MemoryError("out of memory")
+
+    device.step = step
+    assert play(on_device(chunk_size=4))[0] == expected
+    assert device.tried == [4, 2]
+
+
+def test_no_room_for_one_policy_is_an_error_with_what_helps(device):
+    device.fits = 0
+    message = r"device cuda has too little memory for 2 episodes at a time \(Failed .*--episodes-per-policy"
+    with pytest.raises(ConfigError, match=message):
+        play(on_device())
+
+
+@pytest.mark.parametrize(("name", "error"), [("cpu", MemoryError("no")), ("cuda", RuntimeError("something else"))])
+def test_other_errors_are_passed_on(device, name, error):
+    def step(_):
+        raise error
+
+    device.step = step
+    with pytest.raises(type(error), match=str(error)):
+        play(on_device(device=name))
+    assert len(device.tried) == 1
+
+
+def test_the_free_memory_of_a_card_says_how_many_run_at_a_time(device, expected, monkeypatch):
+    worker, measured = on_device(nconmax=9), []
+
+    def measure(model, *arguments):
+        measured.append((model.nq, *arguments))
+        return 10_000
+
+    monkeypatch.setattr(shes.rollout.worker, "bytes_per_sim", measure)
+    device.free = 120_000
+    room = lanes_in_memory(device.free, 10_000, worker.plan.design, 2, worker.plan.horizon)
+    assert 1 < room < 5
+    assert play(worker)[0] == expected
+    assert device.tried == [-(-MEMBERS // -(-MEMBERS // room))]
+    device.free = 0  # taken by what was built: no reason to split further
+    assert play(worker)[0] == expected
+    play(worker, is_evaluation=True)
+    assert device.tried[1:] == [1]
+    assert measured == [(2, "cuda", 5, 9, None)]
+
+
+def test_parameters_episodes_and_noise_take_memory():
+    design = a_plan().design
+
+    def room(free=10**9, sim=50_000, episodes=2, horizon=100):
+        return lanes_in_memory(free, sim, design, episodes, horizon)
+
+    per_lane = 8 * sum(design.dims) + 2 * (50_000 + 8 * (2 * 100 + 2 * 20))
+    assert room() == pytest.approx(0.75 * 10**9 / per_lane, rel=0.01)
+    assert room(free=2 * 10**9) == pytest.approx(2 * room(), rel=0.01)
+    assert max(room(episodes=4), room(horizon=1000), room(sim=10**6)) < room()
+    assert room(free=0) == 1

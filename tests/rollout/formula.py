@@ -1,0 +1,162 @@
+"""Generations without physics, in which rewards are a formula, and the comparison of the numbers of runs."""
+
+import itertools
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from shes.backends.backend import Backend
+from shes.es.level import LevelState, UpdateRule
+from shes.es.schedules import Schedule
+from shes.es.statistics import Moments
+from shes.evolution.algorithm import evolve
+from shes.evolution.estimates import Hyperparameters
+from shes.evolution.state import TrainState
+from shes.rollout.episodes import EpisodeResults
+from tests.es.textbook import TextbookES
+from tests.rollout.made_up import outcomes
+
+DIMS = (3, 5)
+EPISODES = 3
+
+
+def constant(value):
+    return Schedule(start=value)
+
+
+def changing(start, end, generations):
+    return Schedule(start=start, end=end, generations=generations)
+
+
+SETTINGS = Hyperparameters(
+    population_size=8,
+    episodes_per_policy=EPISODES,
+    sigma=constant(0.1),
+    learning_rate=constant(0.02),
+    updates=(UpdateRule(weight_decay=0.005),) * 2,
+    learns=(True, True),
+)
+
+
+def start_state(thetas, sizes, *, seed=3, settings=SETTINGS, names=("controller", "primitive")):
+    levels = tuple(
+        LevelState.start(name, theta, rule.optimizer, size)
+        for name, theta, size, rule in zip(names, thetas, sizes, settings.updates, strict=True)
+    )
+    return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
+
+
+class FormulaBackend(Backend):
+    """Pays each member by a formula of its parameters, and remembers what it was asked.
+
+    The episodes in `diverging`, pairs of member and slot, diverge: they are paid a million.
+    """
+
+    num_workers = 3
+
+    def __init__(self, table, diverging=()):
+        self.table, self.diverging, self.generations, self.tasks = table, set(diverging), [], []
+
+    def broadcast(self, state):
+        self.generations.append(state)
+        self.tasks.append([])
+
+    def map(self, tasks):
+        for task in tasks:
+            self.tasks[-1].append(task)
+            yield self._results(task, self.generations[-1])
+
+    def _results(self, task, generation):
+        k, episodes = len(task.slots), generation.episodes_per_policy
+        levels = list(zip(generation.levels, task.noise_index, strict=True))
+        returns, has_diverged = [], []
+        for member, slot in zip(*np.divmod(task.slots, episodes), strict=True):
+            signs = task.signs[member]
+            policy = [
+                level.theta + sign * generation.sigma * self.table.slice(index, len(level.theta))
+                for (level, index), sign in zip(levels, signs, strict=True)
+            ]
+            luck = slot - (episodes - 1) / 2  # each episode pays a little more or less: fitness is a mean over episodes
+            has_diverged.append((task.member + member, slot) in self.diverging)
+            returns.append([1e6 if has_diverged[-1] else paid + luck for paid in formula(*policy)])
+        moments = tuple(
+            Moments(count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0))
+            for size in DIMS
+        )
+        return EpisodeResults(
+            outcomes=outcomes(
+                returns=np.array(returns), has_diverged=has_diverged, steps=100 + np.array(task.slots) % episodes
+            ),
+            moments=moments if task.records_statistics else None,
+        )
+
+    def close(self):
+        pass
+
+
+def formula(controller, primitive):
+    """Return the made-up fitness of a pair at both levels: they need each other, and are paid differently."""
+    controller, primitive = np.asarray(controller, float), np.asarray(primitive, float)
+    return -((controller - primitive[:3] - 1) ** 2).sum(), -((primitive - 2) ** 2).sum() + controller[0]
+
+
+def formula_state(settings=SETTINGS):
+    rng = np.random.default_rng(0)
+    return start_state([rng.normal(size=dim).astype(np.float32) for dim in DIMS], DIMS, settings=settings)
+
+
+def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, diverging=()):
+    backend = FormulaBackend(table, diverging)
+    state = formula_state(settings) if state is None else state
+    return backend, list(itertools.islice(evolve(state, settings, table, backend, pool), generations))
+
+
+def noise_of(report, table):
+    rows = zip(report.populations[0].noise_index, DIMS, strict=True)
+    return [[table.slice(i, dim) for i in row.tolist()] for row, dim in rows]
+
+
+def check_against_textbook(table, settings, generations=5, diverging=(), **options):
+    """Compare a run with the textbook's; return its backend and its reports."""
+    backend, reports = formula_run(table, generations, settings, diverging=diverging)
+    book = TextbookES(
+        [level.theta for level in backend.generations[0].levels],
+        mirrored=settings.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
+    )  # fmt: skip
+    for generation, report in enumerate(reports):
+        book.sigma, book.rate = settings.sigma.value(generation), settings.learning_rate.value(generation)
+        noise, episodes = noise_of(report, table), settings.episodes_per_policy
+        paid = np.array([formula(*pair) for pair in book.candidates(noise)]).T[:, :, None]
+        paid = paid + np.arange(episodes) - (episodes - 1) / 2
+        for level in paid:  # a divergence counts as the worst of the others
+            others = [level[m, e] for m, e in np.ndindex(level.shape) if (m, e) not in diverging]
+            for place in diverging:
+                level[place] = min(others)
+        assert report.results.fitness == pytest.approx(paid.mean(axis=2), rel=1e-4, abs=1e-4)
+        book.update(report.results.fitness.tolist(), noise)
+        for level, theta in zip(report.state.levels, book.thetas, strict=True):
+            assert level.theta == pytest.approx(theta, abs=1e-5)
+    return backend, reports
+
+
+def bits(value):
+    """Return a state, a report or a part of one as nested lists of bytes and texts, but for durations."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    if isinstance(value, dict):
+        return {name: bits(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [bits(each) for each in value]
+    if hasattr(value, "__dataclass_fields__"):
+        return {
+            field.name: bits(getattr(value, field.name))
+            for field in fields(value)
+            if field.name not in ("log", "seconds") and not field.name.endswith("_s")
+        }
+    return repr(value)
+
+
+def same_level(one, other):
+    """Return whether parameters and optimizer of two levels are bit-identical."""
+    return bits([one.theta, one.optimizer]) == bits([other.theta, other.optimizer])

@@ -1,0 +1,129 @@
+"""Episodes of one task by a plain loop over steps: nothing of `Rollout` but what it says of a task's numbers."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from shes.rollout.episodes import wander
+
+EXPLORATION_STD = 0.01
+
+
+def _stream(seed, key):
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(key,))))
+
+
+def added(design, generation, seed, horizon, action_size):
+    """Return what is added in an episode to the outputs of the controller [D, .] and to the controls [T, A]."""
+    decisions, size = -(-horizon // design.controller_interval), design.decision_size
+    explores = not generation.is_evaluation and not generation.branch_steps
+    shapes, rng = ((decisions, size), (horizon, action_size)), _stream(seed, 1)
+    decision, control = (
+        rng.standard_normal(shape, dtype=np.float32) * np.float32(EXPLORATION_STD * explores) for shape in shapes
+    )
+    if generation.has_frozen_control:
+        control[:] = 0
+    if generation.decisions == "zero":
+        decision[:] = 0
+    elif generation.decisions is not None:
+        angles = {
+            "random": lambda: _stream(seed, 2).uniform(0, 2 * np.pi, decisions),
+            "wander": lambda: wander(_stream(seed, 3), decisions, 1)[:, 0],
+        }.get(generation.decisions, lambda: np.full(decisions, generation.decisions))
+        decision[:] = design.direction_outputs(angles())
+    return decision, control
+
+
+def play(design, make_batch, task, generation, table, horizon):
+    """Play the episodes of `task` in a lane and an environment of their own, for at most `horizon` steps.
+
+    Returns the results of all R rows, those of rows without an episode at 0, and what was seen on the way: `states`
+    and `goals` (from where the robots are), each [T] of [R, ...], after the agent has decided and before the physics.
+    """
+    rows, slots = generation.rows_per_lane, list(task.slots)
+    batch, agent = make_batch(rows), design.make(1, rows, shares_noise=generation.members_per_lane > 1)
+    agent.normalise_by(generation.levels)
+    if agent.shares_noise:
+        agent.centre_on(generation.levels)
+    for level, mean in enumerate(generation.levels):
+        noise = table.slice(task.noise_index[level], len(mean.theta))
+        scales = [generation.sigma * signs[level] for signs in task.signs]
+        if agent.shares_noise:
+            agent.theta[level][0] = noise
+            agent.scale[level][0, :, 0] = np.repeat(np.array(scales, np.float32), rows // len(scales))
+        else:
+            agent.theta[level][0] = mean.theta + np.float32(scales[0]) * noise
+    start = None if task.start is None else task.start.state
+    batch.reset(np.array(slots), list(task.seeds), [start] * len(slots) if start is not None else ())
+    agent.start(slice(None))
+    agent.is_recording = True
+    if task.start is not None:
+        agent.go_on(0, task.start.steps, task.start.goals)
+    interval = design.controller_interval
+    decision = np.zeros((rows, -(-horizon // interval), design.decision_size), np.float32)
+    control = np.zeros((rows, horizon, batch.action_size), np.float32)
+    for slot, seed in zip(slots, task.seeds, strict=True):
+        decision[slot], control[slot] = added(design, generation, seed, horizon, batch.action_size)
+    is_running, steps, intrinsic = np.isin(np.arange(rows), slots), np.zeros(rows, int), np.zeros(rows)
+    found, seen = [None] * rows, SimpleNamespace(states=[], goals=[], ends=[None] * rows)
+    for step in range(horizon):
+        noise = {"decision_noise": decision[None, :, step // interval]} if design.decision_size else {}
+        action = agent.act(
+            batch.observe(),
+            batch.position,
+            batch.heading,
+            goal=batch.goal,
+            control_noise=control[None, :, step],
+            **noise,
+        )
+        if hasattr(batch, "states"):
+            seen.states.append(batch.states(np.arange(rows)))
+            seen.goals.append(None if agent.goal is None else agent.goal - batch.position)
+        batch.step(np.flatnonzero(is_running), action)
+        steps[is_running] += 1
+        intrinsic += agent.intrinsic_reward(batch.position) * ~batch.diverged * is_running
+        for row in np.flatnonzero(is_running & (batch.terminated | batch.diverged | (steps == horizon))):
+            is_running[row] = False
+            found[row] = _outcome(batch, agent, row, steps[row], intrinsic[row], horizon)
+            if hasattr(batch, "states"):
+                seen.ends[row] = batch.states(np.array([row]))[0]
+        if not is_running.any():
+            break
+    seen.found = [found[slot] for slot in slots]
+    return seen
+
+
+def _outcome(batch, agent, row, steps, intrinsic, horizon):
+    """Return all quantities of the episode in `row`, which has just ended, by name."""
+    paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), agent.design.level_names
+    return {
+        "returns": [intrinsic if name == "primitive" else paid for name in names],
+        "environment_returns": paid,
+        "score": batch.score[row],
+        "success": batch.success[row],
+        "steps": steps,
+        "has_terminated": batch.terminated[row] and not batch.diverged[row],
+        "has_fallen": batch.fallen[row] and not batch.diverged[row],
+        "has_diverged": batch.diverged[row],
+        "goals_reached": agent.goals_reached[row],
+        "final_position": batch.position[row].tolist(),
+        "moments": [(each.count[row], each.total[row].tobytes(), each.total_squares[row].tobytes())
+                    for each in agent.moments],
+    }  # fmt: skip
+
+
+def of_results(results):
+    """Return the quantities of each episode of a rollout's results as the plain loop has them."""
+    episodes = []
+    for k, outcome in enumerate(results.outcomes):
+        own = {name: outcome[name].tolist() for name in results.outcomes.dtype.names}
+        if results.moments is not None:
+            own["moments"] = [(m.count[k], m.total[k].tobytes(), m.total_squares[k].tobytes()) for m in results.moments]
+        episodes.append(own)
+    return episodes
+
+
+def assert_equal(results, played):
+    """Check that the results of a task have the bits of the plain loop, with what is recorded of it."""
+    for mine, theirs in zip(of_results(results), played.found, strict=True):
+        assert mine == {name: value for name, value in theirs.items() if name in mine}

@@ -1,0 +1,102 @@
+"""Agents where the contract's random numbers do not lead: at the edges of goals, and with a symmetric controller."""
+
+import math
+
+import numpy as np
+import pytest
+
+from shes.es.level import LevelParameters
+from shes.es.statistics import ObservationStatistics
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
+from tests.rollout import designs
+
+
+def deciding(output, lanes=1, **options):
+    """Return agents at the first step of their episodes whose controllers output `output`, whatever they see."""
+    agent = designs.both(hidden=(), **options).make(lanes, 1)
+    agent.theta[0][:, -2:] = np.arctanh(output)
+    agent.start(slice(None))
+    return agent
+
+
+def act(agent, position):
+    position = np.broadcast_to(np.array(position, float), (agent.num_rows, 2)).copy()
+    agent.act(np.zeros((agent.num_rows, designs.OBSERVED)), position, np.zeros(agent.num_rows))
+    return agent.goal - position
+
+
+@pytest.mark.parametrize(
+    ("output", "pushed"),
+    [
+        ((0.05, -0.1), (0.70711, -0.70711)),  # 0.2 and -0.4 m: both are pushed
+        ((0.0, 0.5), (0.70711, 2.0)),  # 0 goes to the positive side
+        ((-0.17, -0.18), (-0.70711, -0.72)),  # just under, just over
+    ],
+)
+def test_a_near_goal_is_pushed_outward_by_component(output, pushed):
+    assert act(deciding(output), (3, 3))[0] == pytest.approx(pushed, abs=1e-5)
+    assert act(deciding(output, is_minimum=False), (3, 3))[0] == pytest.approx(4 * np.array(output), abs=1e-6)
+
+
+def test_a_robot_that_did_not_move_made_exactly_no_progress():
+    agent, position = deciding((0.3, 0.7), lanes=50), np.random.default_rng(0).normal(size=(50, 2)) * 10
+    act(agent, position)
+    assert agent.intrinsic_reward(position).tolist() == [0] * 50
+
+
+def test_a_goal_where_the_robot_stands_pays_the_bonus():
+    agent = deciding((0, 0), is_minimum=False)
+    act(agent, (5, 5))
+    assert agent.intrinsic_reward(np.array([[5.0, 5.0]])).tolist() == [2]
+    assert np.isfinite(agent.intrinsic_reward(np.array([[10.0, 5.0]]))).all()
+
+
+def test_a_goal_is_reached_once_and_the_next_one_again():
+    agent, counts = deciding((0.75, 0.0), is_minimum=False), []  # goals 3 m to the right
+    act(agent, (0, 0))
+    for x in (1.99, 2.01, 0.0, 3.0):  # just outside 1 m, inside, outside and inside again
+        agent.intrinsic_reward(np.array([[x, 0.0]]))
+        counts.append(agent.goals_reached.tolist())
+    for _ in range(designs.INTERVAL):
+        act(agent, (3, 0))
+    agent.intrinsic_reward(np.array([[6.0, 0.0]]))
+    assert [*counts, agent.goals_reached.tolist()] == [[0], [1], [1], [1], [2]]
+
+
+@pytest.mark.parametrize("change", ["mirror", "turn"])
+def test_an_equivariant_controller_follows_a_changed_world(change):
+    """Normalisation included. The heading stays as it is, so a controller that sees it answers mirrored worlds only."""
+    equivariant = {"controller_network": "equivariant", "controller_view": "sectors", "minimum_goal_distance": False}
+    config = make_config("point-gather", "smoke", {**equivariant, "controller_output": "heading_direction"})
+    design, rng = build_algorithm(config).design, np.random.default_rng(5)
+    (network, primitive), view = design.policies, design.controller_view
+    theta = rng.normal(0, 0.5, network.num_params).astype(np.float32)
+    if change == "turn":
+        of_heading = network.index[: network.sizes[0] * network.sizes[1]].reshape(7, 10, -1)[4]
+        theta[np.unique(of_heading)] = 0
+    total, squares = rng.uniform(0, 9, 70), rng.uniform(40, 60, 70)
+    network.pool(total, squares)
+    statistics = ObservationStatistics(count=20, total=total, total_squares=squares)
+    unseen = ObservationStatistics.empty(primitive.sizes[0])
+    levels = (LevelParameters.of(theta, statistics), LevelParameters.of(primitive.initial(rng), unseen))
+
+    def goals(observation, position):
+        agent = design.make(1, len(observation))
+        agent.normalise_by(levels)
+        agent.theta[0][0], agent.theta[1][0] = (level.theta for level in levels)
+        agent.start(slice(None))
+        agent.act(observation, position, np.zeros(len(observation)))
+        return agent.goal - position
+
+    observation, angle = rng.uniform(0, 1, (6, 25)), np.pi / 5
+    turn = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    matrix = np.transpose([[1, 0], [0, -1]] if change == "mirror" else turn)
+    rings, changed = np.array(view.rings), observation.copy()
+    changed[:, rings] = observation[:, rings[:, ::-1] if change == "mirror" else np.roll(rings, 1, axis=1)]
+    for columns in view.vectors.values():
+        changed[:, columns] = observation[:, columns] @ matrix
+    plain, answer = (goals(each, each[:, view.vectors["position"]]) for each in (observation, changed))
+    np.testing.assert_allclose(np.hypot(*plain.T), 4.0, rtol=1e-6)
+    np.testing.assert_allclose(answer, plain @ matrix, atol=1e-4)
+    assert np.abs(answer - plain).max() > 0.5

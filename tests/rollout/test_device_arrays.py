@@ -1,0 +1,184 @@
+"""Agents and rollouts whose arrays lie on a device: the numbers of the CPU, two waits a step, and one place for noise.
+
+The device is a stand-in, `strict_arrays`: it refuses what CuPy refuses. Weights lie elsewhere in memory than the CPU's,
+so that a matmul may round differently: numbers agree to a tolerance, counts exactly.
+"""
+
+from dataclasses import fields, replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from shes.backends.serial import SerialBackend
+from shes.es.gradient import weighted_noise_sum
+from shes.es.noise import NoiseTable
+from shes.evolution.algorithm import evolve
+from shes.rollout.lockstep import Rollout
+from shes.rollout.worker import RolloutWorker, WorkerPlan
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
+from shes.sim.cpu import CpuSimulator
+from tests.strict_arrays import strict_xp
+from tests.strict_simulator import DeviceSimulator
+
+HORIZON = 11
+SETTINGS = {"hidden": (8,), "horizon": HORIZON, "population_size": 8, "noise_table_size": 20_000}
+WHOLE = {"primitive_estimate": "episode"}
+EGOCENTRIC = {**WHOLE, "primitive_view": "egocentric"}
+CHOICES = {
+    "gather": ("point-gather", {}),
+    "ant": ("ant-gather", WHOLE),
+    "clock": ("point-maze", {"clock_frequency": 1.5}),
+    "one-hot": ("point-push", {"controller_output": "one_hot", "minimum_goal_distance": True}),
+    "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
+    "vector": ("point-maze", {"goal_encoding": "vector", "primitive_reward": "negative_distance"}),
+    "metres": ("point-fall", {"goal_encoding": "angle_metres", "minimum_goal_distance": True}),
+    "primitive alone": ("point-flagrun", {}),
+    "flat": ("point-gather", {"algorithm": "es"}),
+    "flat with a clock": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),
+    "one level in turns": ("point-gather", {"perturbation": "one_to_many"}),
+    "egocentric": (
+        "ant-gather",
+        {**EGOCENTRIC, "symmetry": "dihedral", "controller_network": "mlp", "controller_view": "egocentric",
+         "controller_output": "heading_vector", "primitive_reward": "metres"},
+    ),
+    "equivariant": (
+        "point-gather",
+        {"controller_network": "equivariant", "controller_view": "sectors", "controller_output": "heading_direction"},
+    ),
+    "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
+    "egocentric, alone": ("ant-flagrun", {**EGOCENTRIC, "symmetry": "rotation", "max_tilt": 20.0}),
+    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0}),
+    "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
+}  # fmt: skip
+
+
+def make(env, settings, **more):
+    """Return the learner of these settings."""
+    goals = {} if "algorithm" in settings else {"controller_interval": 4}
+    return build_algorithm(make_config(env, "laptop", {**SETTINGS, **goals, **settings, **more}))
+
+
+def run(name, simulator, num_lanes, xp=np, episodes=3, **changed):
+    """Return the results of a generation, by number, and the waits for the device from each step to the next."""
+    learner = make(*CHOICES[name], episodes_per_policy=episodes)
+    settings, plan = learner.hyperparameters, learner.plan()
+    draws = settings.estimates[0](learner.start(1), settings, learner.table.size, ())
+    generation, waits = replace(draws.generation, **changed), []
+
+    def make_batch(num_episodes):
+        batch = plan.env.make(num_episodes, plan.training, simulator)
+        observe = batch.observe
+        batch.observe = lambda: (waits.append(strict_xp.waits), observe())[1]  # the first thing in a step
+        return batch
+
+    shape = generation.rows_per_lane, HORIZON, generation.members_per_lane
+    rollout = Rollout(learner.design, make_batch, num_lanes, *shape)
+    found = dict(rollout.run(iter(enumerate(draws.tasks)), generation, learner.table.on(xp)))
+    return found, np.diff(waits)
+
+
+def assert_same(found, expected):
+    assert found.keys() == expected.keys()
+    for number, mine in found.items():
+        theirs = expected[number]
+        assert type(mine.outcomes) is np.ndarray
+        for name in mine.outcomes.dtype.names:
+            np.testing.assert_allclose(mine.outcomes[name], theirs.outcomes[name], rtol=1e-5, atol=1e-5, err_msg=name)
+        assert (mine.moments is None) == (theirs.moments is None)
+        for level, other in zip(mine.moments or (), theirs.moments or (), strict=True):
+            assert np.array_equal(level.count, other.count)
+            np.testing.assert_allclose(level.total, other.total, rtol=1e-5, atol=1e-4)
+            np.testing.assert_allclose(level.total_squares, other.total_squares, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "lanes", "episodes"),
+    [
+        *((name, 8, 3) for name in CHOICES),
+        *((name, 2, 1) for name in ("gather", "flat", "one level in turns")),  # members share their noise
+        ("gather", 3, 3),  # a population that does not fit goes in waves
+    ],
+)
+def test_a_device_gives_the_cpus_numbers_with_two_waits_a_step(name, lanes, episodes):
+    found, waits = run(name, DeviceSimulator, lanes, strict_xp, episodes)
+    assert_same(found, run(name, CpuSimulator, 8, episodes=episodes)[0])
+    assert waits.min() == np.median(waits) == 2  # more where episodes ended
+    assert (len(found) < 8) == (episodes == 1)
+
+
+@pytest.mark.parametrize("name", ["gather", "one-hot", "equivariant"])
+def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
+    ends = set()
+    for decisions in ("zero", "random", "wander", 0.5):
+        asked = {"decisions": decisions, "is_evaluation": True}
+        found, waits = run(name, DeviceSimulator, 8, strict_xp, **asked)
+        assert_same(found, run(name, CpuSimulator, 8, **asked)[0])
+        assert waits.min() == np.median(waits) == 2  # more where episodes ended
+        ends.add(found[0].final_position.tobytes())
+    assert len(ends) == 4
+
+
+def test_lanes_of_a_device_start_together():
+    started = []
+
+    class Watched(DeviceSimulator):
+        def reset(self, ids):
+            started.append(len(ids))
+            super().reset(ids)
+
+    run("gather", Watched, 3, strict_xp)
+    assert started == [9, 9, 6]
+
+
+def test_the_noise_table_has_one_copy_on_a_device():
+    table = NoiseTable(np.random.default_rng(0).standard_normal(1000, dtype=np.float32))
+    assert table.on(np) is table
+    copy = table.on(strict_xp)
+    assert copy is table.on(strict_xp) is not table
+    index, weights = np.array([0, 100, 7]), np.array([0.5, 0, -2], np.float32)
+    on_device = weighted_noise_sum(copy, index, weights, 300)
+    assert on_device.tobytes() == weighted_noise_sum(table, index, weights, 300).tobytes()
+
+
+class DevicePlan(WorkerPlan):
+    """A plan whose simulators lie on the stand-in for a device."""
+
+    simulator = DeviceSimulator
+
+
+BRANCHED = {"primitive_estimate": "interval", "primitive_view": "egocentric", "controller_interval": 3}
+
+
+@pytest.mark.parametrize(
+    ("env", "settings"),
+    [
+        ("point-gather", {"episodes_per_policy": 3}),
+        ("point-push", {**BRANCHED, "primitive_population_size": 12}),
+        ("ant-flagrun", {**BRANCHED, "symmetry": "dihedral", "horizon": 20}),
+    ],
+)
+def test_generations_on_a_device_are_those_of_the_cpu(env, settings):
+    """The states that the second one begins with come from the first one's device."""
+    runs, learner = [], make(env, settings)
+    for plan_class, xp in ((WorkerPlan, np), (DevicePlan, strict_xp)):
+        plan = plan_class(**{field.name: getattr(learner.plan(), field.name) for field in fields(WorkerPlan)})
+        backend = SerialBackend(partial(RolloutWorker, plan))
+        reports = evolve(learner.start(1), learner.hyperparameters, learner.table.on(xp), backend)
+        runs.append([next(reports) for _ in range(2)])
+    for mine, theirs in zip(*runs, strict=True):
+        for level, other in zip(mine.state.levels, theirs.state.levels, strict=True):
+            assert type(level.theta) is np.ndarray
+            np.testing.assert_allclose(level.theta, other.theta, rtol=1e-3, atol=1e-3)
+        for one, other in zip(mine.populations, theirs.populations, strict=True):
+            np.testing.assert_allclose(one.results.returns, other.results.returns, rtol=1e-4, atol=1e-4)
+        snapshots = [report.populations[0].results.snapshots for report in (mine, theirs)]
+        assert snapshots[0].keys() == snapshots[1].keys()
+        assert bool(snapshots[0]) == ("primitive_estimate" in settings)
+        for place, left in snapshots[0].items():
+            assert type(left.state) is type(left.goals) is np.ndarray
+            assert left.steps == snapshots[1][place].steps
+            np.testing.assert_allclose(left.state, snapshots[1][place].state, rtol=1e-4, atol=1e-3)
+            np.testing.assert_allclose(left.goals, snapshots[1][place].goals, rtol=1e-4, atol=1e-4)
+        assert (mine.state.running is None) == (theirs.state.running is None) == (env != "ant-flagrun")

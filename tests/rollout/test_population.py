@@ -1,0 +1,234 @@
+"""A population: what is drawn for its members, what their results add up to, and what these are worth to each level."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shes.errors import PolicyError
+from shes.es.level import UpdateRule
+from shes.es.perturbation import PERTURBATIONS
+from shes.es.shaping import CentredRanks, PairRanks
+from shes.es.statistics import ObservationStatistics
+from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, Population, draw_episodes
+from shes.rollout.episodes import Generation
+from shes.rollout.results import PopulationResults, lower_diverged
+from tests.es.textbook import centred_ranks, group_signs
+from tests.rollout.formula import SETTINGS, formula_state
+from tests.rollout.made_up import SIZES, make_result, make_task
+
+# What is drawn --------------------------------------------------------------------------------------------------------
+
+
+def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
+    """Return the members of a generation and, per member, its task's quantities."""
+    settings = replace(SETTINGS, population_size=population, episodes_per_policy=episodes, **options)
+    settings = replace(settings, perturbation=PERTURBATIONS.find(perturbation)())
+    draws, members = draw_episodes(replace(formula_state(), generation=generation, seed=seed), settings, 50_000), []
+    for task in draws.tasks:
+        assert task.slots == tuple(range(len(task.signs) * episodes))
+        assert all(type(number) is int for number in (*task.noise_index, *task.signs[0], *task.seeds))
+        for m, signs in enumerate(task.signs):
+            assert task.member + m == len(members)
+            seeds = task.seeds[m * episodes : (m + 1) * episodes]
+            members.append((seeds, task.noise_index, signs, task.records_statistics))
+    return draws, members
+
+
+def numbers_of(key, draw):
+    """Return what NumPy draws from the stream of seed 3, a purpose and a generation."""
+    return draw(np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=key)))).tolist()
+
+
+OFF = [
+    (955642397323993634, 2014679973056780978),
+    (8914204979365002629, 3964493793996861818),
+    (8915728941045978542, 4561075043264217392),
+    (3782129793030925514, 5064926260752203158),
+    (2347052567673787738, 8818525889307932742),
+    (11036241398736512, 5907576227758005346),
+    (6923016666289185934, 277484131316371652),
+    (7250926677718418429, 2592574282718894118),
+]
+"""What eight members drew, each its own, before anything could be chosen; two groups drew the first two rows."""
+
+
+@pytest.mark.parametrize(
+    ("common_random_numbers", "seeds"),
+    [("off", OFF), ("group", [OFF[0]] * 4 + [OFF[1]] * 4), ("population", [OFF[0]] * 8)],
+)
+def test_seeds_and_noise_are_what_they_have_always_been(common_random_numbers, seeds):
+    _, members = drawn(common_random_numbers=common_random_numbers)
+    assert [member[0] for member in members] == seeds
+    assert [member[1] for member in members] == [(41949, 28591)] * 4 + [(35608, 23554)] * 4
+
+
+@pytest.mark.parametrize("name", COMMON_RANDOM_NUMBERS)
+@pytest.mark.parametrize("perturbation", PERTURBATIONS)
+@pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
+@pytest.mark.parametrize("episodes", [1, 2, 3])
+def test_members_are_drawn_from_the_streams_of_their_generation(name, perturbation, mirrored, episodes):
+    draws, members = drawn(16, episodes, perturbation, mirrored=mirrored, common_random_numbers=name)
+    groups, size, _ = draws.signs.shape
+    assert draws.signs.tolist() == [list(map(list, group)) for group in
+                                    group_signs(mirrored, perturbation, (True, True), groups, 2)]  # fmt: skip
+    assert [list(signs) for _, _, signs, _ in members] == draws.signs.reshape(16, 2).tolist()
+    shape = {"off": (groups, size), "group": (groups, 1), "population": (1, 1)}[name]
+    seeds = np.array(numbers_of((2, 2), lambda rng: rng.integers(0, 2**63, (*shape, episodes))))
+    seeds = np.broadcast_to(seeds, (groups, size, episodes)).reshape(16, episodes)
+    assert [list(member[0]) for member in members] == seeds.tolist()
+    noise = [numbers_of((1, 2, level), lambda rng, dim=dim: rng.integers(0, 50_001 - dim, groups))
+             for level, dim in enumerate((3, 5))]  # fmt: skip
+    assert draws.noise_index.tolist() == noise
+    assert [list(member[1]) for member in members] == np.repeat(noise, size, axis=1).T.tolist()
+    # Members with few episodes share a task with their group: a matmul each would have few rows.
+    shared = size if episodes < 3 else 1
+    assert {len(task.signs) for task in draws.tasks} == {draws.generation.members_per_lane} == {shared}
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 1.0])
+def test_a_share_of_the_groups_is_recorded_as_a_whole(fraction):
+    flags = [member[3] for generation in range(10)
+             for member in drawn(80, generation=generation, statistics_fraction=fraction)[1]]  # fmt: skip
+    assert all(len(set(flags[g : g + 4])) == 1 for g in range(0, 800, 4))
+    assert np.mean(flags) == pytest.approx(fraction, abs=0.1 if 0 < fraction < 1 else 0)
+    assert flags[160:240:4] == numbers_of((4, 2), lambda rng: rng.random(20) < fraction)
+
+
+@pytest.mark.parametrize("name", COMMON_RANDOM_NUMBERS)
+def test_every_generation_and_every_run_has_other_episodes(name):
+    places = [(3, 2), (3, 3), (4, 2)]
+    found = [drawn(seed=seed, generation=generation, common_random_numbers=name)[1] for seed, generation in places]
+    for i in (0, 1):
+        sets = [{number for member in members for number in member[i]} for members in found]
+        assert len(set.union(*sets)) == sum(map(len, sets))
+
+
+# What results add up to -----------------------------------------------------------------------------------------------
+
+
+@given(episodes=st.integers(1, 6), cuts=st.sets(st.integers(1, 5)), member=st.integers(2, 3))
+def test_the_parts_of_a_task_are_the_task(episodes, cuts, member):
+    """Their results too, added to a population one by one; the second member records nothing."""
+    task = make_task(member, range(70, 70 + episodes), snapshot_steps=tuple(range(episodes)))
+    borders = [0, *sorted(cut for cut in cuts if cut < episodes), episodes]
+    parts = [task.part(*border) for border in pairwise(borders)]
+    for name in ("slots", "seeds", "snapshot_steps"):
+        assert sum((getattr(part, name) for part in parts), ()) == getattr(task, name), name
+    whole, results = make_result(task, log=("a",)), [make_result(part, log=("a",)) for part in parts]
+    populations = [PopulationResults.empty(2, 4, episodes) for _ in range(2)]
+    populations[0].add(task, whole)
+    for part, result in zip(parts, results, strict=True):
+        populations[1].add(part, result)
+    assert np.array_equal(populations[0].outcomes, populations[1].outcomes)
+    assert np.array_equal(populations[1].outcomes[member], whole.outcomes)
+    assert not populations[1].steps[:2].any()
+    assert populations[1].log == ["a"] * len(parts)
+    assert populations[1].seconds.tolist() == (len(parts) * whole.seconds).tolist()
+    assert len(populations[1].moments) == (2 if member == 2 else 0)
+    for mine, other in zip(*(each.moments for each in populations), strict=True):
+        assert [mine.total.tobytes(), mine.count.tolist()] == [other.total.tobytes(), other.count.tolist()]
+        assert mine.total_squares.tobytes() == other.total_squares.tobytes()
+
+
+def test_results_stand_where_their_member_and_slot_say():
+    results, task = PopulationResults.empty(2, 3, 2), make_task(1, [5, 6], slots=(1, 0))
+    results.add(task, make_result(task))
+    assert np.array_equal(results.outcomes[1], make_result(task).outcomes[::-1])
+
+
+def test_statistics_merge_what_was_recorded_and_nothing_else():
+    """Counts beyond 32 bits included; a result stays as it was."""
+    results, tasks = PopulationResults.empty(2, 6, 3), [make_task(m, [1, 2, 3]) for m in range(6)]
+    before = [ObservationStatistics.empty(size).merge(2, np.ones(size), np.ones(size)) for size in SIZES]
+    results.add(tasks[1], make_result(tasks[1]))
+    assert all(results.observed(i, each) is each for i, each in enumerate(before))
+    made = [make_result(task) for task in tasks[::2]]
+    for result in made:
+        result.moments[0].count[:] += 2**40
+    for task, result in zip(tasks[::2], made, strict=True):
+        results.add(task, result)
+    for i, each in enumerate(before):
+        after, recorded = results.observed(i, each), [result.moments[i] for result in made]
+        assert after.count == 2 + sum(int(m.count.sum()) for m in recorded)
+        assert after.total == pytest.approx(1 + sum(m.total.sum(axis=0) for m in recorded))
+        assert after.total_squares == pytest.approx(1 + sum(m.total_squares.sum(axis=0) for m in recorded))
+
+
+def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
+    for returns, has_diverged, fitness in (
+        ([[-3, -5], [-1, -4], [-6, -3]], [[0, 0], [1, 0], [0, 0]], [-4, -5, -4.5]),
+        ([[3], [-9], [4]], [[0], [1], [0]], [3, -9, 4]),  # it is never raised
+        ([[3], [-9]], [[1], [1]], [3, -9]),  # there is nothing to compare with
+        ([[1, 3], [0, 2]], [[0, 0], [0, 0]], [2, 1]),
+    ):
+        results = PopulationResults.empty(2, len(returns), len(returns[0]))
+        results.returns[:] = returns, np.add(returns, 100)  # each level has its own worst
+        results.has_diverged[:] = has_diverged
+        assert results.fitness.tolist() == [fitness, np.add(fitness, 100).tolist()]
+        assert results.returns[0].tolist() == returns  # what is reported stays what it was
+    values = np.array([[1.0, 5.0], [3.0, 2.0]])
+    assert lower_diverged(values, np.zeros((2, 2), bool)) is values
+
+
+# What they are worth --------------------------------------------------------------------------------------------------
+
+
+def rolled_out(perturbation="many_to_many", generation=0, episodes=2, signs=None):
+    """Return a population with random returns, some of whose episodes fell; others terminated otherwise."""
+    if signs is None:
+        signs = PERTURBATIONS.find(perturbation)().signs(generation, 8, "quad", (True, True))
+    results, rng = PopulationResults.empty(signs.shape[2], 8, episodes), np.random.default_rng(3)
+    results.returns[:] = rng.normal(size=results.returns.shape)
+    results.has_fallen[:] = rng.random((8, episodes)) < 0.4
+    results.has_terminated[:3] = True
+    own = Generation(levels=(), sigma=0.1, episodes_per_policy=episodes, is_evaluation=False)
+    return Population(levels=(0, 1), signs=signs, noise_index=np.zeros((2, 1), int), tasks=[], generation=own,
+                      learning_rate=0.1, results=results)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("perturbation", "generation", "members"),
+    [("many_to_many", 0, (range(8), range(8))), ("one_to_many_halves", 0, (range(4), range(4, 8))),
+     ("one_to_many", 0, (range(8), ())), ("one_to_many", 1, ((), range(8)))],
+)  # fmt: skip
+@pytest.mark.parametrize("price", [0.0, 2.5])
+def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(perturbation, generation, members, price):
+    """A fall takes its price off, in the mean over these members nothing."""
+    population = rolled_out(perturbation, generation)
+    fitness = population.results.returns.mean(axis=2)
+    before, fallen = population.results.outcomes.tobytes(), population.results.has_fallen.mean(axis=1)
+    population.results.outcomes.flags.writeable = False
+    for level, own in enumerate(map(list, members)):
+        expected = np.array(centred_ranks(fitness[level, own].tolist(), "average") if own else [])
+        expected = expected - price * (fallen[own] - (fallen[own].mean() if own else 0))
+        assert population.shaped_fitness(level, UpdateRule(fall_price=price)) == pytest.approx(expected)
+    assert population.results.outcomes.tobytes() == before
+
+
+def test_every_level_has_its_own_shaping():
+    population = rolled_out()
+    fitness = population.results.returns.mean(axis=2)
+    fitness[0] = population.results.returns[0] = 1.0  # all tie: by index the later is better
+    first = population.shaped_fitness(0, UpdateRule(shaping=CentredRanks(rank_ties="index")))
+    assert first == pytest.approx(np.linspace(-0.5, 0.5, len(first)))
+    second = population.shaped_fitness(1, UpdateRule())
+    assert second == pytest.approx(centred_ranks(fitness[1].tolist(), "average"))
+    population.results.returns[1, 5, 0] = np.inf
+    with pytest.raises(PolicyError, match="member 5 is inf"):
+        population.shaped_fitness(1, UpdateRule())
+
+
+def test_the_price_of_a_fall_goes_past_ranks():
+    """Where both of a pair fall it changes nothing; where all fall alike it changes no bit."""
+    population = rolled_out(signs=np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), episodes=1)
+    rule = UpdateRule(shaping=PairRanks())
+    population.results.has_fallen[:, 0] = [0, 1, 0, 0, 1, 1, 1, 0]
+    plain, priced = (population.shaped_fitness(0, replace(rule, fall_price=price)) for price in (0.0, 15.0))
+    assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
+    for share in (False, True):
+        population.results.has_fallen[:] = share
+        assert population.shaped_fitness(0, replace(rule, fall_price=15.0)).tobytes() == plain.tobytes()

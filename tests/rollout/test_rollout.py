@@ -1,0 +1,246 @@
+"""The rollout on a task without physics: what a plain loop makes of each task, in whatever lanes and company."""
+
+import random
+from dataclasses import replace
+from itertools import count
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+import shes.rollout.lockstep
+from shes.errors import PolicyError
+from shes.es.noise import NoiseTable
+from shes.rollout.episodes import PARTS, EpisodeTask, Generation
+from shes.rollout.lockstep import Rollout
+from tests.rollout import designs
+from tests.rollout.fake_task import FakeEnvironment, FakeTask, Script, make_seed
+from tests.rollout.plain_loop import assert_equal, of_results, play
+
+HORIZON = 23
+EPISODES = 3
+DESIGN = designs.both(hidden=(16,))
+FREE, GOALS = FakeEnvironment(), FakeEnvironment(goal_interval=designs.INTERVAL)
+TRAINING = {"sigma": 0.2, "episodes_per_policy": EPISODES, "is_evaluation": False}
+EVALUATION = {**TRAINING, "is_evaluation": True}
+GROUPS = {**TRAINING, "episodes_per_policy": 1, "members_per_lane": 4}
+CASES = {
+    "both": (DESIGN, FREE, TRAINING),
+    "evaluation": (designs.both("one_hot", clock=designs.CLOCK, is_minimum=False, distance=1.0), FREE, EVALUATION),
+    "frozen control": (designs.both("heading_vector", reward="metres"), FREE, {**TRAINING, "has_frozen_control": True}),
+    "one episode": (DESIGN, FREE, {**TRAINING, "episodes_per_policy": 1}),  # another path through BLAS
+    "groups": (DESIGN, FREE, GROUPS),
+    "groups, two episodes": (designs.flat(designs.CLOCK), FREE, {**GROUPS, "episodes_per_policy": 2}),
+    "alone": (designs.primitive("vector", "cosine", designs.CLOCK), GOALS, TRAINING),
+    "flat": (designs.flat(), FREE, TRAINING),
+    "every step": (designs.both(controller_interval=1), FREE, TRAINING),
+    "once": (designs.both(controller_interval=100), FREE, TRAINING),
+    **{f"{decisions} decisions": (DESIGN, FREE, {**EVALUATION, "decisions": decisions})
+       for decisions in ("zero", "random", "wander", 0.5)},
+    "wander in training": (DESIGN, FREE, {**TRAINING, "decisions": "wander"}),
+}  # fmt: skip
+"""Designs, environments, and generations."""
+
+
+def table_of(size=2000):
+    return NoiseTable(np.random.default_rng(0).standard_normal(size, dtype=np.float32))
+
+
+def generation_of(design=DESIGN, of=TRAINING, scale=1.0):
+    return Generation(levels=designs.levels_of(design, scale), **of)
+
+
+def tasks_of(design=DESIGN, of=TRAINING, number=10):
+    """Return tasks whose episodes end in every way, with every sign; every fifth records nothing."""
+    rng, members = random.Random(0), of.get("members_per_lane", 1)  # noqa: S311 - seeds of a test
+    signs = [(1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, 0)]
+    levels, slots = len(design.dims), tuple(range(members * of["episodes_per_policy"]))
+    return [
+        EpisodeTask(
+            member=members * m,
+            noise_index=(7 * m, 100 + 11 * m)[:levels],
+            signs=tuple(signs[(m + i) % 6][:levels] for i in range(members)),
+            slots=slots,
+            seeds=tuple(rng.randrange(2**63) for _ in slots),
+            records_statistics=m % 5 > 0,
+        )
+        for m in range(number)
+    ]
+
+
+def rollout_of(lanes=1, design=DESIGN, of=TRAINING, make=FREE.make):
+    members, episodes = of.get("members_per_lane", 1), of["episodes_per_policy"]
+    return Rollout(design, make, lanes, members * episodes, HORIZON, members)
+
+
+def results_of(rollout, tasks, generation=None, table=None):
+    """Return the results by the tasks' first members; each comes once."""
+    done = list(rollout.run(iter(enumerate(tasks)), generation or generation_of(), table or table_of()))
+    assert sorted(number for number, _ in done) == list(range(len(tasks)))
+    return {tasks[number].member: results for number, results in done}
+
+
+def bits_of(results):
+    return {member: of_results(each) for member, each in results.items()}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_task_has_the_numbers_of_a_plain_loop(name):
+    """In one lane and in many, in any order and company, whole and in parts, whatever the rollout did before."""
+    design, environment, of = CASES[name]
+    tasks, generation = tasks_of(design, of), generation_of(design, of)
+    parts = [
+        replace(task, slots=slots, seeds=tuple(task.seeds[slot] for slot in slots))
+        for task, slots in zip(tasks, ((0,), (2, 0), (1,)), strict=False)
+        if max(slots) < len(task.slots)
+    ]
+    played = {
+        (task.member, task.slots): play(design, environment.make, task, generation, table_of(), HORIZON)
+        for task in (*tasks, *parts)
+    }
+    for lanes, some in ((1, tasks[:2]), (3, tasks), (12, tasks), (5, tasks[::-2])):
+        rollout = rollout_of(lanes, design, of, environment.make)
+        for again in range(2):
+            found = results_of(rollout, some, generation)
+            for task in some:
+                assert (found[task.member].moments is None) == (not task.records_statistics)
+                assert_equal(found[task.member], played[task.member, task.slots])
+            if not again:
+                results_of(rollout, some[:2], generation_of(design, EVALUATION | of, scale=3))
+    for part in parts:
+        assert_equal(results_of(rollout, [part], generation)[part.member], played[part.member, part.slots])
+    if name == "both":
+        every = [own for each in played.values() for own in each.found]
+        ends = {(own["has_terminated"], own["has_diverged"], own["has_fallen"]) for own in every}
+        assert {(False, False, False), (True, False, False), (False, True, False), (True, False, True)} == ends
+        assert len({str(own["returns"]) for own in every}) == sum(len(task.slots) for task in tasks)
+        assert sum(own["goals_reached"] for own in every) > 0
+
+
+def test_the_ends_of_episodes_by_hand():
+    """A divergence pays nothing for its step and scores nothing; an aid's end pays for every step that is left."""
+    ends = [{"terminates_after": 4}, {}, {"diverges_after": 6}, {"terminates_after": 5, "diverges_after": 5},
+            {"terminates_after": 5}, {"terminates_after": 20}]  # fmt: skip
+    task, before, found = replace(tasks_of()[1], slots=tuple(range(6))), [], []
+    task = replace(task, seeds=tuple(make_seed(**end) for end in ends))
+    for stays_for in (0.0, -2.0):
+        make = lambda n: FakeTask(n, lambda task, *_: before.append(task.running_return.copy()))  # noqa: E731
+        rollout = Rollout(DESIGN, make, 1, 6, 20)
+        rollout.batch.stays_for = stays_for
+        found.append(results_of(rollout, [task])[1])
+    results, paid = found
+    assert results.steps.tolist() == [4, 20, 6, 5, 5, 20]
+    assert results.has_terminated.tolist() == [True, False, False, False, True, True]
+    assert results.has_fallen.tolist() == [False, False, False, False, True, False]  # after an odd number of steps
+    assert results.has_diverged.tolist() == [False, False, True, True, False, False]
+    assert (results.score[2], results.success[2]) == (0, False)
+    assert results.returns[0, 2] == before[5][2] != 0
+    assert results.returns[0].tolist() == results.environment_returns.tolist()
+    extra = [-2.0 * 16, 0, 0, 0, -2.0 * 15, 0]
+    assert paid.environment_returns - results.environment_returns == pytest.approx(extra)
+    assert paid.returns - results.returns == pytest.approx(np.array([extra, [0] * 6]))
+
+
+def test_the_primitive_is_not_paid_for_the_step_of_a_divergence():
+    def paid(horizon, diverges_after):
+        def on_step(task, *_):
+            task.scripts[0] = Script(terminates_after=0, diverges_after=diverges_after)  # all else is the seed's
+
+        of = {**EVALUATION, "episodes_per_policy": 1}
+        rollout = Rollout(DESIGN, lambda n: FakeTask(n, on_step), 1, 1, horizon)
+        return results_of(rollout, tasks_of(of=of, number=1), generation_of(of=of))[0].returns[1, 0]
+
+    assert paid(9, 6) == paid(5, 0) != paid(6, 0)
+
+
+def test_members_that_share_noise_do_as_they_would_alone():
+    group, generation = tasks_of(of=GROUPS)[4], generation_of(of=GROUPS)
+    together = results_of(rollout_of(2, of=GROUPS), [group], generation)[group.member]
+    for m, signs in enumerate(group.signs):
+        task = replace(group, member=m, signs=(signs,), slots=(0,), seeds=group.seeds[m : m + 1])
+        own = {**GROUPS, "members_per_lane": 1}
+        alone = results_of(rollout_of(of=own), [task], generation_of(of=own))[m]
+        assert together.steps[m] == alone.steps[0]
+        assert together.returns[:, m] == pytest.approx(alone.returns[:, 0], rel=1e-4, abs=1e-4)
+
+
+def test_tasks_are_taken_when_a_lane_is_free():
+    taken, seen, of = [], [], {**TRAINING, "episodes_per_policy": 1}
+    ends = [make_seed(), *[make_seed(terminates_after=2)] * 3]
+
+    def work():
+        for number, (task, seed) in enumerate(zip(tasks_of(of=of), ends, strict=False)):
+            taken.append(10 * number)
+            yield 10 * number, replace(task, seeds=(seed,))
+
+    for number, _ in rollout_of(2, of=of).run(work(), generation_of(of=of), table_of()):
+        seen.append((number, len(taken)))
+    assert seen == [(10, 2), (20, 3), (30, 4), (0, 4)]
+    assert results_of(rollout_of(3), []) == {}
+
+
+# Time -----------------------------------------------------------------------------------------------------------------
+
+
+def test_seconds_are_told_once_and_are_no_more_than_was_spent():
+    start = perf_counter()
+    told = sum(result.seconds for result in results_of(rollout_of(3), tasks_of()).values())
+    assert told.shape == (len(PARTS),)
+    assert told.min() >= 0
+    assert 0 < told.sum() < perf_counter() - start
+
+
+def test_no_part_of_a_step_is_left_out(monkeypatch):
+    """By a clock that ticks when it is asked: five ticks a step, two of them in the agent, three around the physics."""
+    ticks = count()
+    monkeypatch.setattr(shes.rollout.lockstep, "perf_counter", lambda: float(next(ticks)))
+    task = replace(tasks_of()[0], seeds=(make_seed(),) * EPISODES)
+    (result,) = results_of(rollout_of(), [task]).values()
+    assert dict(zip(PARTS, result.seconds.tolist(), strict=True)) == {
+        "physics": 0, "policy": 2 * HORIZON, "task": 3 * HORIZON,
+    }  # fmt: skip
+
+
+# Policies that are not finite -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("level", "name"), [(0, "controller"), (1, "primitive")])
+def test_a_policy_of_nan_is_refused_by_member_and_level(level, name):
+    table = table_of(8000)
+    tasks = [
+        replace(task, noise_index=(500 * m, 4000 + 500 * m), signs=((1, 1),)) for m, task in enumerate(tasks_of())
+    ][:4]
+    table.values[tasks[3].noise_index[level] + DESIGN.dims[level] - 1] = np.nan
+    message = rf"member 3 returned NaN or infinity at step 0 \(parameters of its {name} are not finite\).*--sigma"
+    for order in (tasks, tasks[::-1]):
+        with pytest.raises(PolicyError, match=message):
+            results_of(rollout_of(4), order, table=table)
+
+
+def test_a_bad_policy_of_a_group_is_named_by_its_member():
+    group, generation = tasks_of(of=GROUPS)[3], generation_of(of=GROUPS)
+    generation.levels[1].theta[0] = np.nan
+    with pytest.raises(PolicyError, match=r"member 14 .*parameters of its primitive are not finite"):
+        results_of(rollout_of(2, of=GROUPS), [replace(group, slots=(2,), seeds=group.seeds[2:3])], generation)
+
+
+def test_an_observation_of_nan_does_not_blame_parameters():
+    def on_step(task, *_):
+        task.observes_nan[4] = task.age[4] == 6
+
+    tasks = [
+        replace(task, seeds=tuple(make_seed(draw=10 * m + k) for k in range(3))) for m, task in enumerate(tasks_of())
+    ]
+    with pytest.raises(PolicyError, match=rf"member 9 returned NaN .* at step 7; episode seed {tasks[9].seeds[1]}\."):
+        results_of(rollout_of(2, make=lambda n: FakeTask(n, on_step)), tasks[8:10])
+
+
+def test_a_rollout_works_again_after_a_policy_was_refused():
+    """Lanes without work may be left with anything."""
+    tasks, rollout = tasks_of(), rollout_of(3)
+    expected = bits_of(results_of(rollout_of(3), tasks))
+    for some in (tasks, tasks[:1]):
+        with pytest.raises(PolicyError):
+            results_of(rollout, tasks, table=NoiseTable(np.full(2000, np.nan, np.float32)))
+        found = bits_of(results_of(rollout, some))
+        assert found == {member: expected[member] for member in found}

@@ -1,0 +1,262 @@
+"""Views: what levels see, against rotation matrices written out and the names that environments give."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from shes.agents.views import ColumnsView, EgocentricView
+from shes.envs.bodies.ant import Ant
+from shes.envs.bodies.point import FallingPoint, Point
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.registry import ENVIRONMENTS, register_external
+from shes.envs.worlds import empty_world
+from shes.errors import ConfigError
+from shes.evolution.designs import primitive_inputs
+from shes.runs.build import build_algorithm, build_task
+from shes.runs.make_config import make_config
+from tests.contracts.variants import VARIANTS
+
+BODIES = {environment.body.name: environment.body() for environment in ENVIRONMENTS.values()}
+ROWS = 6
+
+
+def rotation(quaternion):
+    """Return the matrix [3, 3] of a unit quaternion w x y z."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def about_vertical(angle):
+    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+
+
+def tumbled(seed=0):
+    """Return poses [N, 15] and velocities [N, 14] of ants that lie in any way."""
+    rng = np.random.default_rng(seed)
+    qpos, qvel = rng.normal(0, 2, (ROWS, 15)), rng.normal(0, 3, (ROWS, 14))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    return qpos, qvel
+
+
+def view_of(body, qpos, qvel):
+    out = np.full((len(qpos), len(body.egocentric)), np.nan)
+    body.write_egocentric(qpos, qvel, body.frame_angle(qpos), out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def model():
+    spec = empty_world("ant", "euler")
+    Ant().add_to(spec)
+    return spec.compile()
+
+
+def test_every_value_of_the_ants_view_is_what_its_name_says(model):
+    qpos, qvel = tumbled()
+    seen = view_of(Ant(), qpos, qvel)
+    for row in range(ROWS):
+        matrix = rotation(qpos[row, 3:7])
+        # The angle about the vertical after which what is left of the rotation is a tilt about a level axis.
+        back = about_vertical(np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])).T
+        assert (back @ matrix)[1, 0] == pytest.approx((back @ matrix)[0, 1], abs=1e-12)
+        tilt, velocity = back @ matrix @ [0, 0, 1], back @ qvel[row, :3]
+        expected = {
+            "torso_z": qpos[row, 2],
+            "tilt_ahead": tilt[0],
+            "tilt_left": tilt[1],
+            **{f"velocity_{name}": velocity[i] for i, name in enumerate(("ahead", "left", "up"))},
+            **{f"torso_w{axis}": qvel[row, 3 + i] for i, axis in enumerate("xyz")},
+        }
+        for joint in range(1, model.njnt):
+            name = model.joint(joint).name
+            expected[name] = qpos[row, model.jnt_qposadr[joint]]
+            expected[f"{name}_velocity"] = qvel[row, model.jnt_dofadr[joint]]
+        assert len(expected) == model.nq + model.nv - 4  # without x, y, yaw, and one of a quaternion's four
+        names = [each.name for each in Ant.egocentric]
+        assert dict(zip(names, seen[row], strict=True)) == pytest.approx(expected, abs=1e-12)
+
+
+def test_mujocos_angular_velocity_is_the_torsos_own(model):
+    """So that it is egocentric as it is: a spin about the world's x axis, seen by a torso that looks along y."""
+    data, velocity = mujoco.MjData(model), np.zeros(6)
+    data.qpos[3:7] = [np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)]
+    data.qvel[3:6] = [0, -1, 0]
+    mujoco.mj_forward(model, data)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, model.body("torso").id, velocity, 0)
+    assert velocity[:3] == pytest.approx([1, 0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.3, np.pi, -2.9])
+def test_a_turned_world_changes_nothing_of_the_ants_view(angle):
+    qpos, qvel = tumbled(1)
+    before, world, turned, velocity = view_of(Ant(), qpos, qvel), about_vertical(angle), qpos.copy(), qvel.copy()
+    turned[:, :3] = qpos[:, :3] @ world.T + [3.0, -7.0, 0.0]
+    velocity[:, :3] = qvel[:, :3] @ world.T
+    for row in range(ROWS):
+        mujoco.mju_mulQuat(turned[row, 3:7], [np.cos(angle / 2), 0, 0, np.sin(angle / 2)], qpos[row, 3:7])
+    assert view_of(Ant(), turned, velocity) == pytest.approx(before, abs=1e-12)
+    turned[:, 3:7] *= -1  # the other quaternion of the same pose
+    assert view_of(Ant(), turned, velocity) == pytest.approx(before, abs=1e-12)
+
+
+def test_an_upright_ants_frame_is_its_heading():
+    qpos, angles = tumbled(2)[0], np.linspace(-3, 3, ROWS)
+    qpos[:, 3:7] = np.stack([np.cos(angles / 2), 0 * angles, 0 * angles, np.sin(angles / 2)], axis=1)
+    assert Ant().frame_angle(qpos) == pytest.approx(angles)
+    assert Ant().heading(qpos) == pytest.approx(angles)
+
+
+def test_points_see_their_velocity_and_falling_ones_their_height():
+    (flat, flat_v), (falling, falling_v) = (np.random.default_rng(3).normal(size=(2, 4, size)) for size in (2, 3))
+    assert view_of(Point(), flat, flat_v).tolist() == flat_v.tolist()
+    assert view_of(FallingPoint(), falling, falling_v).tolist() == np.hstack([falling[:, 2:], falling_v]).tolist()
+    assert [each.name for each in Point.egocentric] == ["torso_vx", "torso_vy"]
+    assert [each.name for each in FallingPoint.egocentric] == ["torso_z", "torso_vx", "torso_vy", "torso_vz"]
+    assert not Point().frame_angle(flat).any()
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_no_egocentric_view_shows_where_the_robot_is(body):
+    rng = np.random.default_rng(4)
+    qpos, qvel = rng.normal(size=(3, body.num_qpos)), rng.normal(size=(3, body.num_qvel))
+    before = view_of(body, qpos, qvel)
+    qpos[:, :2] += [10, -20]
+    assert view_of(body, qpos, qvel).tolist() == before.tolist()
+    names = {each.name for each in body.egocentric}
+    assert len(names) == len(body.egocentric)
+    assert not {"torso_x", "torso_y"} & names
+
+
+# Views of observations ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("picked", [None, (1, 2, 3), (3, 0, 4), (2,)], ids=str)
+def test_columns_are_copied_in_the_order_asked_for(picked):
+    view, columns = ColumnsView(picked), list(picked or range(5))
+    observation, heading, out = np.random.default_rng(5).normal(size=(3, 5)), np.ones(3), np.zeros((3, len(columns)))
+    assert view.size(5) == len(columns)
+    assert view.names("abcde") == tuple("abcde"[i] for i in columns)
+    assert not view.is_egocentric
+    assert view.write(observation, heading, out) is heading
+    assert out.tolist() == observation[:, columns].tolist()
+
+
+@pytest.mark.parametrize("others", [(), (0, 1), (2, 0)], ids=["alone", "neighbours", "any order"])
+@pytest.mark.parametrize("places", [np.arange(29), np.random.default_rng(7).permutation(29)], ids=["in order", "not"])
+def test_an_egocentric_view_is_the_robots_then_the_others(others, places):
+    (qpos, qvel), observation = tumbled(6), np.random.default_rng(7).normal(size=(ROWS, 32))
+    observation[:, 3 + places] = np.hstack([qpos, qvel])
+    view, names = EgocentricView(Ant(), (3 + places).tolist(), others), [f"value {i}" for i in range(32)]
+    own = tuple(f"egocentric {each.name}" for each in Ant.egocentric)
+    assert view.names(names) == own + tuple(names[i] for i in others)
+    before, out = observation.copy(), np.zeros((ROWS, view.size(32)))
+    angle = view.write(observation, np.full(ROWS, 99.0), out)  # not the heading
+    assert angle.tolist() == Ant().frame_angle(qpos).tolist()
+    assert out.tolist() == np.hstack([view_of(Ant(), qpos, qvel), observation[:, list(others)]]).tolist()
+    assert np.array_equal(observation, before)
+
+
+def moving(config, rows):
+    """Return a task whose robots are somewhere, and what it observes."""
+    task, rng, ids = build_task(config, rows, is_evaluation=False), np.random.default_rng(8), np.arange(rows)
+    task.reset(ids, ids.tolist())
+    for _ in range(3):
+        task.step(ids, rng.uniform(-1, 1, (rows, task.action_size)) * task.control_limit)
+    return task, task.observe()
+
+
+@pytest.mark.parametrize("variant", [each for each in VARIANTS if not ENVIRONMENTS[each.name].sets_goals], ids="-".join)
+def test_a_controllers_egocentric_view_has_all_else_behind(variant):
+    config = make_config(variant.name, "smoke", {"controller_view": "egocentric", "spec": variant.spec})
+    design, (task, observed) = build_algorithm(config).design, moving(config, 3)
+    robot, view = task.robot, design.controller_view
+    coordinates = {each.name for each in (*robot.pose, *robot.velocity)}
+    others = [i for i, name in enumerate(task.observation_names) if name not in coordinates]
+    assert len(others) > 0
+    own = tuple(f"egocentric {each.name}" for each in robot.egocentric)
+    assert view.names(task.observation_names) == own + tuple(task.observation_names[i] for i in others)
+    out = np.zeros((3, design.observation_sizes[0]))
+    view.write(observed, task.heading, out)
+    qpos, qvel = np.split(observed[:, task.proprioception], [robot.num_qpos], axis=1)
+    assert out.tolist() == np.hstack([view_of(robot, qpos, qvel), observed[:, others]]).tolist()
+
+
+@pytest.mark.parametrize("env", ["ant-gather", "ant-flagrun", "point-maze", "point-fall", "point-flagrun"])
+def test_a_primitives_egocentric_view_is_the_robots_alone(env):
+    learner = build_algorithm(make_config(env, "smoke", {"primitive_view": "egocentric", "clock_frequency": 1.0}))
+    names = tuple(f"egocentric {each.name}" for each in ENVIRONMENTS[env].body.egocentric)
+    assert primitive_inputs(learner.problem)[5:] == names
+    assert learner.design.observation_sizes[-1] == 3 + 2 + len(names)
+
+
+def test_a_clock_runs_by_the_steps_of_its_environment():
+    """Pendulum's are 1/30 of a second, a built-in task's a tenth."""
+    for env, algorithm in (("gymnasium:Pendulum-v1", "es"), ("point-gather", "es"), ("point-gather", "shes")):
+        config = make_config(env, "smoke", {"algorithm": algorithm, "clock_frequency": 1.0})
+        task = build_task(config, 1, is_evaluation=False)
+        assert build_algorithm(config).design.clock.step_s == task.step_s == (0.1 if "point" in env else 1 / 30)
+
+
+SECTORS = {"controller_view": "sectors", "controller_output": "heading_direction"}
+
+
+@pytest.mark.parametrize("env", ["ant-gather", "point-gather"])
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+def test_sectors_show_readings_and_the_component_of_each_vector(env, spec):
+    config = make_config(env, "smoke", {"spec": spec, "reset_noise": 0.1, **SECTORS})
+    design, (task, observed) = build_algorithm(config).design, moving(config, 8)
+    view, before, out = design.controller_view, observed.copy(), np.full((8, 70), np.nan)
+    assert view.size(task.observation_size) == design.observation_sizes[0] == 70
+    assert view.write(observed, task.heading, out) is task.heading
+    assert np.array_equal(observed, before)
+    readings = observed[:, task.sensor_rings.ravel()]
+    assert out[:, :20].tolist() == readings.tolist()
+    assert out[:, 20:40] == pytest.approx(readings**8)
+    for row in range(8):
+        ahead = [np.cos(task.heading[row]), np.sin(task.heading[row])]
+        vectors = np.array([ahead, task.position[row] / 8, task.sim.qvel[row, :2]])
+        for sector in range(10):
+            middle = task.heading[row] - np.pi + (sector + 0.5) * np.pi / 5
+            assert out[row, 40 + sector :: 10] == pytest.approx(vectors @ [np.cos(middle), np.sin(middle)], abs=1e-12)
+    names = view.names(task.observation_names)
+    picked = ("food_0", "poison_0, eighth power", "heading along sector 1", "velocity along sector 9")
+    assert tuple(names[i] for i in (0, 30, 41, 69)) == picked
+    assert len(set(names)) == 70
+
+
+BLOCK = ("block_x", "block_y", "block_vx", "block_vy")
+
+
+@pytest.mark.parametrize(("env", "block"), [("ant-maze", ()), ("ant-push", BLOCK)])
+def test_the_position_view_shows_the_place_and_the_task(env, block):
+    settings = {"controller_view": "position", **({"observe_block": True} if block else {})}
+    made = build_algorithm(make_config(env, "smoke", settings))
+    seen = ("torso_x", "torso_y", *block, "time", "target_x", "target_y")
+    assert made.design.controller_view.names(made.problem.sample().observation_names) == seen
+
+
+@pytest.fixture
+def strange():
+    """An environment that Gymnasium makes, with a robot of which only its place is known."""
+    register_external("own-maze", "shes/PointMaze-v0", locate=lambda observation, _: (*observation[:2], 0.0))
+    yield
+    del EXTERNAL_ENVIRONMENTS["own-maze"]
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "message"),
+    [
+        ("ant-maze", SECTORS, r"'sectors', but ant-maze has the ant, and no sensors .* Set --controller-view to"),
+        ("own-maze", {"primitive_view": "egocentric"}, r"own-maze has an external robot.*Set --primitive-view to"),
+        ("own-maze", {"controller_view": "egocentric"}, r"own-maze has an external robot.*Set --controller-view to"),
+        ("own-maze", {"primitive_view": "egocentric", "symmetry": "rotation"}, "own-maze has an external robot"),
+        ("own-maze", {"controller_view": "position"}, r"'position', but own-maze .* observes no absolute position"),
+    ],
+)
+def test_a_view_that_an_environment_does_not_have_is_refused(env, settings, message, strange):
+    with pytest.raises(ConfigError, match=message):
+        build_algorithm(make_config(env, "smoke", settings))
+    design = build_algorithm(make_config(env, "smoke")).design
+    assert isinstance(design.controller_view, ColumnsView)
+    assert isinstance(design.primitive_view, ColumnsView)
