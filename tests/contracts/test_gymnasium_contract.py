@@ -35,7 +35,7 @@ def rollout(env, actions, seed):
     return shown
 
 
-def test_gymnasiums_checker_warns_of_unbounded_observations_alone(variant):
+def test_gymnasiums_checker_warns_of_unbounded_spaces_alone(variant):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(variant.make_env().unwrapped, skip_render_check=True)
@@ -162,7 +162,7 @@ def test_a_diverged_simulation_ends_its_episode(variant):
     assert (reward, terminated, info["diverged"], info["score"], info["success"]) == (0, True, True, 0, False)
 
 
-def test_an_action_that_is_no_number_or_of_another_shape_is_refused(variant):
+def test_an_action_not_finite_or_of_another_shape_is_refused(variant):
     env, vector = variant.make_env().unwrapped, variant.make_vector(NUM_ENVS)
     size = env.action_space.shape[0]
     vector_message = rf"in each of {NUM_ENVS} environments; got \({NUM_ENVS + 1}, {size}\)"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from shes.envs.registry import ENVIRONMENTS
 from shes.envs.tasks.task import VELOCITY_CLIP
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts.variants import over_variants
@@ -110,7 +109,7 @@ def test_seeds_give_different_episodes_whatever_their_size(variant):
     assert len(np.unique(start(variant, 20, seeds).observe(), axis=0)) == 20
 
 
-def test_an_episode_depends_on_its_seed_alone_and_not_on_the_past(variant):
+def test_an_episode_depends_on_its_seed_and_not_on_the_past(variant):
     used, new = start(variant, 3), start(variant, 3)
     play(used, draw_actions(used, 30, seed=1))
     used.reset(np.array([2, 0, 1]), [2, 0, 1])
@@ -161,7 +160,7 @@ def test_only_the_episodes_asked_for_are_reset_or_stepped(variant):
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.02])
-def test_reset_noise_is_uniform_on_the_pose_and_normal_on_the_velocity(variant, noise):
+def test_reset_noise_is_uniform_on_qpos_and_normal_on_qvel(variant, noise):
     task = start(variant, 300, reset_noise=noise)
     body, default = task.body, task.sim.model.qpos0
     shift, velocity = task.sim.qpos - default, task.sim.qvel[:, : body.num_qvel]
@@ -183,7 +182,7 @@ def test_reset_noise_is_uniform_on_the_pose_and_normal_on_the_velocity(variant, 
     assert np.abs(np.corrcoef(np.hstack([shift, velocity]).T) - np.eye(shift.shape[1] + body.num_qvel)).max() < 0.3
 
 
-def test_without_reset_noise_an_episode_begins_in_the_default_pose(variant):
+def test_without_reset_noise_episodes_begin_in_the_default_pose(variant):
     task = start(variant, 3, reset_noise=0.0)
     assert_array_equal(task.sim.qpos, np.tile(task.sim.model.qpos0, (3, 1)))
     assert not task.sim.qvel.any()
@@ -192,7 +191,7 @@ def test_without_reset_noise_an_episode_begins_in_the_default_pose(variant):
 # Actions.
 
 
-def test_actions_are_left_alone_may_be_float32_and_are_cut_at_the_limit(variant):
+def test_actions_may_be_float32_and_are_cut_at_the_limit(variant):
     actions = np.tile(draw_actions(start(variant, 1), 1).astype(np.float32), (2, 1))
     kept, full = actions.copy(), np.full(actions.shape, start(variant, 1).control_limit)
 
@@ -240,14 +239,3 @@ def test_a_diverged_episode_earns_nothing_and_does_not_score(variant):
         assert_same_view(view(spoiled, [0, 2]), view(calm, [0, 2]))
     spoiled.reset(np.arange(3), range(3))
     assert_same_view(view(spoiled), view(start(variant, 3)))
-
-
-def test_a_diverged_episode_earns_nothing_whatever_the_task_pays(variant):
-    body, kind = ENVIRONMENTS[variant.name]
-    generous = type("Generous", (kind,), {"update_features": lambda self: np.ones(self.num_episodes)})
-    task = generous(body(), 3, variant.options())
-    task.reset(np.arange(3), range(3))
-    task.sim.qvel[1, 0] = 1e12
-    play(task, np.zeros((2, task.action_size)))
-    assert_array_equal(task.reward, [1, 0, 1])
-    assert_array_equal(task.running_return, [2, 0, 2])

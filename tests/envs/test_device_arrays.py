@@ -68,7 +68,7 @@ def play(pair, steps, ids=tuple(range(NUM_EPISODES))):
 
 
 @pytest.mark.parametrize("variant", VARIANTS, ids="-".join)
-def test_a_task_on_a_device_gives_the_same_numbers_without_waiting_for_it(variant):
+def test_a_task_on_a_device_gives_the_same_without_waiting(variant):
     pair = make_pair(variant)
     waits = strict_xp.waits
     pair[1].reset(np.arange(NUM_EPISODES), range(NUM_EPISODES))

@@ -103,7 +103,7 @@ def test_our_own_point_maze_is_the_same_from_outside():
 
 
 @pytest.mark.parametrize("locate", [locate_car, locate_by_info])
-def test_dict_observations_are_flat_and_a_function_finds_the_robot(locate):
+def test_dict_observations_are_flat_and_a_function_locates(locate):
     task, env = start(1, seeds=[3], locate=locate), Car()
     seen, _ = env.reset(seed=3)
     assert_array_equal(task.primitive_view, [0, 1, 2, 3, 4, 5])  # all but the desired goal
@@ -249,7 +249,7 @@ def test_a_mujoco_that_blows_up_diverges_until_its_reset():
     assert not play(task, np.zeros((1, 1)))["diverged"].any()
 
 
-def test_what_an_environment_says_itself_of_its_divergence_counts():
+def test_an_environment_may_report_its_divergence_itself():
     envs = []
     register_external("tested", lambda: envs.append(gymnasium.make("shes/PointMaze-v0")) or envs[-1])
     task = begin("tested", 2)
@@ -328,7 +328,7 @@ def test_the_limit_of_the_registration_is_not_applied():
         ("success", r"cannot step: ValueError: The truth value of an array .*"),
     ],
 )
-def test_an_environment_that_fails_later_is_one_line_that_names_it(fault, message):
+def test_a_later_failure_is_one_line_with_the_name(fault, message):
     task = start(2, seeds=[0, 0], fault=fault, locate=locate_by_info)
     play(task, np.zeros((1, 3)))
     with pytest.raises(ConfigError, match=rf"^tested {message}( \(.*external_envs\.py:\d+\))?$") as caught:
@@ -426,7 +426,7 @@ def test_a_missing_package_names_the_extra_that_brings_it(name, missing, extra, 
 # The reader.
 
 
-def test_an_agent_may_give_observations_of_one_environment_or_of_several():
+def test_observations_may_be_of_one_environment_or_several():
     reader, env = start(1).reader, Car()
     observation, info = env.reset(seed=1)
     flat = gymnasium.spaces.flatten(env.observation_space, observation)
@@ -471,7 +471,7 @@ def test_a_name_that_there_is_not_is_told_the_right_one(name, message):
         make_config(name)
 
 
-def test_a_name_may_be_registered_again_with_the_same_function_alone():
+def test_a_name_may_be_registered_again_by_its_function_alone():
     register_external("point-corner", "tests/Car-v0")
     for name, make in (("ant-gather", Car), (ANT_MAZE, INCLUDED[ANT_MAZE].source), ("point-corner", Car)):
         with pytest.raises(ConfigError, match=rf"environment '{name}' is .*already.*\. Choose another name"):

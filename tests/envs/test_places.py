@@ -28,7 +28,7 @@ def state(task, place, block=()):
         ("ant-fall", (8.2, 11.7, 0.75), (0, 0), (8, 12, 0, 0, 0)),
     ],
 )
-def test_a_cell_is_the_robots_place_its_height_and_the_blocks_place(name, place, block, cell):
+def test_a_cell_is_the_place_and_height_of_robot_and_block(name, place, block, cell):
     task = make_task(name, 1)
     places = task.places(state(task, place, block)[None])
     assert places.cells.tolist() == [list(cell)]
@@ -64,7 +64,7 @@ def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
     assert rewards == [-10, -14, -14, -10]
 
 
-def test_a_shorter_way_does_not_stop_simulations_that_are_not_reset():
+def test_a_shorter_way_keeps_simulations_that_are_not_reset():
     task = make_task("point-maze", 2, ENVIRONMENTS["point-maze"].options(target=(6.0, 8.0), reset_noise=0.0))
     way = np.array([[0.1, 0], [0.2, 0], [0.3, 0], [6, 0]])
     task.set_way(way)
@@ -76,7 +76,7 @@ def test_a_shorter_way_does_not_stop_simulations_that_are_not_reset():
     assert np.isfinite(task.update_features()).all()
 
 
-def test_an_environment_without_a_target_has_neither_places_nor_a_way():
+def test_without_a_target_there_are_neither_places_nor_a_way():
     task = make_task("point-gather", 1)
     for refused in (lambda: task.places(np.zeros((1, 9))), lambda: task.set_way(np.zeros((1, 2)))):
         with pytest.raises(ConfigError, match=r"no way to .* in this environment\. Set --explore none\."):

@@ -184,7 +184,7 @@ def test_only_the_simulation_that_blew_up_is_marked(field, bad):
 
 
 @pytest.mark.parametrize("field", FIELDS)
-def test_a_bad_value_where_no_step_is_asked_for_is_no_divergence_yet(field):
+def test_a_bad_value_before_a_step_is_no_divergence_yet(field):
     simulator = WarpCpu(ant_model(), 2)
     getattr(simulator, field)[1, 0] = np.nan
     simulator.step(np.array([0]), 5)
@@ -208,7 +208,7 @@ def test_physics_that_blow_up_within_a_step_are_noticed(speed):
 
 @pytest.mark.parametrize("setting", ["nconmax", "njmax"])
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
-def test_a_buffer_that_is_too_small_is_an_error_with_a_size_that_does(setting, integrator):
+def test_a_buffer_that_is_too_small_is_told_a_size_that_does(setting, integrator):
     model, num_sims = ant_model(integrator), 4
     simulator = WarpCpu(model, num_sims, **{setting: 2})
     simulator.check_buffers()
