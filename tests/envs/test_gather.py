@@ -50,15 +50,6 @@ def at(bearing_deg):
     return 4 * np.array([np.cos(np.deg2rad(bearing_deg)), np.sin(np.deg2rad(bearing_deg))])
 
 
-def test_objects_fill_the_square_outside_the_free_radius():
-    task = make_task("point-gather", 1500)
-    task.reset(np.arange(1500), range(1500))
-    assert task.objects.shape == (1500, 2, 8, 2)
-    places = task.objects.reshape(-1, 2)
-    assert 9.99 < np.abs(places).max() <= 10
-    assert 2 <= np.hypot(*places.T).min() < 2.05
-
-
 def test_an_object_nearer_than_1_m_is_caught_once():
     task = start(food=[(1.0, 0), (0, -1.0), (0.9999, 0), (0, -0.9999), (0.71, 0.71)], poison=[(0, 0.5)])
     assert [step(task) for _ in range(3)] == [1, 0, 0]
@@ -70,6 +61,7 @@ def test_an_object_nearer_than_1_m_is_caught_once():
 
 @pytest.mark.parametrize("kind", [0, 1])
 def test_an_object_shows_in_the_bin_of_its_bearing(kind):
+    """At the borders of bins and of the range, which the random states of the reference miss."""
     # Straight ahead is the border of the two front bins and belongs to the left one; bin 0 begins at bearing -pi.
     for place, number in {
         (4, 0): 5,
@@ -84,18 +76,6 @@ def test_an_object_shows_in_the_bin_of_its_bearing(kind):
         expected = only(number, 1 - (place[0] ** 2 + place[1] ** 2) / 64)
         np.testing.assert_allclose(seen[kind], expected, atol=1e-15, err_msg=str(place))
         assert not seen[1 - kind].any()
-
-
-def test_a_reading_falls_with_the_square_of_the_distance():
-    for distance, seen in {1: 63 / 64, 2: 15 / 16, 4: 3 / 4, 7: 15 / 64, 8: 0, 8.001: 0, 14: 0}.items():
-        assert_array_equal(readings(start(food=[(0, distance), (0, distance + 1)]))[0], only(7, seen))
-
-
-@pytest.mark.parametrize(("turn", "bin_number"), [(0, 5), (90, 3), (-90, 8), (180, 0), (-180, 0)])
-def test_readings_turn_with_the_ant(turn, bin_number):
-    # At a bearing of 18 degrees is the middle of bin 5. After a turn by 90 degrees to the left it is at -72 degrees.
-    task = start("ant-gather", food=[at(18)], turn_deg=turn)
-    np.testing.assert_allclose(readings(task)[0], only(bin_number, 0.75), atol=0.02)
 
 
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
