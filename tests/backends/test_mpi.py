@@ -11,7 +11,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-from shes.backends import mpi
 from shes.backends.mpi import MpiBackend
 from shes.errors import ConfigError, MissingExtraError
 from tests.backends.workers import Worker
@@ -105,23 +104,28 @@ def test_without_mpi_the_error_names_the_extras(monkeypatch):
         MpiBackend(Worker, 2)
 
 
-@pytest.mark.parametrize(
-    ("level", "message"),
-    [
-        (3, r"another backend mpi of this program has the ranks\. Close it first"),
-        (1, r"needs an MPI library that several threads may call \(MPI_THREAD_MULTIPLE\), and Own MPI v1\.2 was not"),
-    ],
-)
-def test_a_second_backend_and_one_thread_are_refused(monkeypatch, level, message):
-    library = types.SimpleNamespace(
-        COMM_WORLD=types.SimpleNamespace(Get_size=lambda: 3),
-        THREAD_MULTIPLE=3,
-        Query_thread=lambda: level,
-        Get_library_version=lambda: "Own MPI v1.2, made here",
-    )
-    futures = types.SimpleNamespace(_core=types.SimpleNamespace(SharedPool=object()))
-    monkeypatch.setattr(mpi, "_import_mpi", lambda: (library, futures))
-    monkeypatch.setattr(mpi, "_HELD", [object()])
+@pytest.fixture
+def library(monkeypatch):
+    """Stands for MPI with two ranks that do nothing."""
+    done = types.SimpleNamespace(done=lambda: True, Test=lambda: True)
+    comm = types.SimpleNamespace(Get_size=lambda: 3, isend=lambda *_, **__: done, Iprobe=lambda **_: False)
+    pool = types.SimpleNamespace(submit=lambda *_: done, shutdown=lambda: None)
+    mpi = types.SimpleNamespace(COMM_WORLD=comm, THREAD_MULTIPLE=3, Query_thread=lambda: 3, Status=object)
+    mpi.Get_library_version = lambda: "Own MPI v1.2, made here"
+    futures = types.SimpleNamespace(_core=types.SimpleNamespace(SharedPool=object()), MPIPoolExecutor=lambda **_: pool)
+    monkeypatch.setitem(sys.modules, "mpi4py", types.SimpleNamespace(MPI=mpi, futures=futures))
+    return mpi
+
+
+def test_a_second_backend_is_refused(library):
+    with MpiBackend(Worker, 2), pytest.raises(ConfigError, match=r"another backend mpi .* has the ranks\. Close it"):
+        MpiBackend(Worker, 2)
+    MpiBackend(Worker, 2).close()
+
+
+def test_a_library_for_one_thread_is_refused(library):
+    library.Query_thread = lambda: 1
+    message = r"needs an MPI library that several threads may call \(MPI_THREAD_MULTIPLE\), and Own MPI v1\.2 was not"
     with pytest.raises(ConfigError, match=message):
         MpiBackend(Worker, 2)
 

@@ -48,13 +48,6 @@ def others():
     return psutil.Process().children()
 
 
-def test_every_worker_is_a_process_of_its_own_and_has_the_state(backend, tmp_path):
-    done = list(backend.map([("meet", tmp_path)] * 12))
-    assert {pid for pid, _ in done} == set(backend.pids())
-    assert len(set(backend.pids())) == 2
-    assert {state for _, state in done} == {100}
-
-
 def test_a_worker_that_dies_is_replaced_and_its_tasks_done_again(backend, tmp_path):
     before = backend.pids()
     tasks = [("add", 1), ("die_once", tmp_path / "marker"), *[("add", i) for i in range(2, 10)]]
@@ -71,16 +64,14 @@ def test_workers_killed_between_maps_are_replaced(backend, tmp_path):
     backend.broadcast(200)
     done = list(backend.map([("meet", tmp_path)] * 12))
     assert {state for _, state in done} == {200}
-    assert {pid for pid, _ in done} == set(backend.pids())
+    assert {pid for pid, _ in done} == set(backend.pids())  # each worker is a process of its own
+    assert len(set(backend.pids())) == 2
     assert not any(psutil.pid_exists(pid) for pid in before)  # not even zombies
 
 
 def test_a_task_that_always_kills_its_worker_is_named(backend, tmp_path):
     diary = tmp_path / "diary"
-    message = (
-        r"workers keep dying \(killed by SIGKILL\) on the same task, \(.*\)\. "
-        r"Usually memory ran out: lower --workers or --chunk-size\. Everything up to the last checkpoint is kept"
-    )
+    message = r"\(killed by SIGKILL\) on the same task, \(.*\)\. Usually memory ran out: .*last checkpoint is kept"
     with pytest.raises(WorkerError, match=message) as caught:
         list(backend.map([*[("add", i) for i in range(6)], ("die", diary), ("add", 7)]))
     assert caught.value.task in range(4, 8)  # the poisoned one, or one that went with it
@@ -276,9 +267,7 @@ def test_progress_keeps_a_slow_task_but_silence_does_not(others, monkeypatch):
         (pid,) = backend.map([("step", 0)])
         backend.worker_timeout_s = 4
         assert list(backend.map([("step", 6)])) == [pid]
-        message = (
-            r"workers keep giving no answer for \d+ s (on the same task, .*|at once)\. .* raise --worker-timeout-s"
-        )
+        message = r"keep giving no answer for \d+ s (on the same task, .*|at once)\. .* raise --worker-timeout-s"
         with pytest.raises(WorkerError, match=message):
             list(backend.map([("where", 600)]))
     assert psutil.Process().children() == others

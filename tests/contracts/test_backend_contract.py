@@ -46,23 +46,23 @@ class Loud(SerialBackend):
         self.loudness = loudness
 
 
-class Deaf(SerialBackend):
-    Options = Loudness
-
-    def __init__(self, factory, num_workers):
-        super().__init__(factory, num_workers)
-
-
-def test_options_are_keyword_arguments_and_change_no_number(monkeypatch):
-    assert all(each.has(Execution) for cls in BACKENDS.values() for each in setting_fields(cls.Options).values())
-    monkeypatch.setattr(BACKENDS, "_entries", dict(BACKENDS))
+@pytest.fixture
+def loud():
+    """A registered backend with an option."""
     BACKENDS.register("loud", Loud)
+    yield
+    del BACKENDS["loud"]
+
+
+def test_options_are_keyword_arguments_and_change_no_number(loud):
+    assert all(each.has(Execution) for cls in BACKENDS.values() for each in setting_fields(cls.Options).values())
     config = make_config("point-gather", "smoke", {"backend": "loud", "loudness": 0.75})
     with build_backend(config, build_algorithm(config).plan()) as backend:
         assert backend.loudness == 0.75
+    deaf = type("Deaf", (SerialBackend,), {"Options": Loudness})
     message = r"backend .*Deaf cannot be constructed with 2 arguments and loudness: got an unexpected keyword argument"
     with pytest.raises(ConfigError, match=message):
-        BACKENDS.register("deaf", Deaf)
+        BACKENDS.register("deaf", deaf)
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +121,8 @@ def test_tasks_refer_to_the_last_state_broadcast(backend):
     assert list(backend.map([("add", 1)] * 5)) == [101] * 5
     backend.broadcast(200)
     backend.broadcast(300)
-    assert list(backend.map([("add", 1)] * 5)) == [301] * 5
-    assert list(backend.map([("add", 2)] * 5)) == [302] * 5
+    for number in (1, 2):
+        assert list(backend.map([("add", number)] * 5)) == [300 + number] * 5
 
 
 def test_linear_algebra_has_one_thread(backend):

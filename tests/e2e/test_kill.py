@@ -8,7 +8,6 @@ import psutil
 import pytest
 
 import shes
-from shes.backends.processes import ProcessesBackend
 from tests.e2e import runs
 from tests.e2e.conftest import BRANCHED
 
@@ -101,27 +100,6 @@ def test_a_worker_killed_inside_a_generation_changes_no_number(started, undistur
     assert (lost, generation - inside) in {(worker, 0), (worker, 1)}
     assert f"worker {worker} died (killed by SIGKILL); {tasks} tasks are done again" in out  # and it is said
     assert runs.differences(undisturbed, path) == []
-
-
-def test_a_stopped_worker_changes_no_number(tmp_path, tiny_run, capsys, monkeypatch):
-    wait, stopped = ProcessesBackend.wait, []
-
-    def stop_and_wait(backend, timeout_s):
-        for worker in backend.workers:
-            if worker.tasks and not stopped:
-                stopped.append(worker.popen.pid)
-                os.kill(stopped[0], signal.SIGSTOP)
-                backend.worker_timeout_s = 3  # a start may take longer
-        return wait(backend, timeout_s)
-
-    monkeypatch.setattr(ProcessesBackend, "wait", stop_and_wait)
-    settings = {"backend": "processes", "num_workers": 2, "worker_timeout_s": 20}
-    path, settings = tmp_path / "run", {**runs.TINY, **settings}
-    shes.train("point-gather", out=path, progress=True, **settings)
-    out, (worker,) = " ".join(capsys.readouterr().out.split()), stopped
-    assert re.search(rf"worker {worker} has given no answer for \d+ s; it is replaced after \d+ s", out)
-    assert re.search(rf"worker {worker} was ended \(no answer for \d+ s\); \d+ tasks are done again", out)
-    assert runs.differences(tiny_run, path) == []
 
 
 def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):

@@ -1,5 +1,6 @@
 """The same numbers for any number of workers, any chunk size, any backend."""
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -34,13 +35,10 @@ def trained(path, **settings):
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """Return a function that returns a run of the serial backend with that many episodes per policy."""
-    made = {}
 
+    @cache
     def make(episodes):
-        if episodes not in made:
-            path = tmp_path_factory.mktemp("reference") / "run"
-            made[episodes] = trained(path, episodes_per_policy=episodes, backend="serial")
-        return made[episodes]
+        return trained(tmp_path_factory.mktemp("reference") / "run", episodes_per_policy=episodes, backend="serial")
 
     return make
 
@@ -62,37 +60,10 @@ def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, work
     assert runs.differences(reference(episodes), path) == []
 
 
-@pytest.mark.parametrize(
-    "variant",
-    [
-        pytest.param(each, id="-".join(each), marks=[] if each == ("point-push", "hiro") else [pytest.mark.slow])
-        for each in VARIANTS
-    ],
-)
-def test_neither_workers_nor_a_resume_change_any_task(tmp_path, variant):
-    settings = {"spec": variant.spec, "population_size": 12, "evaluation_interval": 1, "keep_checkpoints": 1}
-    one = runs.train_tiny(tmp_path / "one", variant.name, **settings, generations=2)
-    two = tmp_path / "two"
-    runs.train_tiny(two, variant.name, **settings, generations=1, backend="processes", num_workers=2, chunk_size=3)
-    shes.resume(two, generations=2, backend="serial")
-    assert runs.differences(one, two) == []
-    assert "progress.csv/env_steps" in runs.numbers(one)
-
-
 # Every variant of the method.
 
-METHOD = {
-    "generations": 3,
-    "evaluation_interval": 1,
-    "keep_checkpoints": 1,
-    "population_size": 12,
-}
+METHOD = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1, "population_size": 12}
 SCHEDULES = {"learning_rate_end": 0.001, "sigma_end": 0.3, "schedule_generations": 2}
-
-
-def method(settings):
-    """Return `settings` with those of every method."""
-    return {**METHOD, **settings}
 
 
 NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
@@ -165,19 +136,8 @@ BY_HAND = {
         **SCHEDULES,
     },
 }  # fmt: skip
-EQUIVARIANT = {
-    "controller_network": "equivariant",
-    "controller_view": "sectors",
-    "controller_output": "heading_direction",
-}
 DIHEDRAL = {**EGOCENTRIC, "symmetry": "dihedral"}
-WALKER = {
-    **DIHEDRAL,
-    **BRANCHES,
-    "fall_price": 3.0,
-    "horizon": 40,
-    "output_weights": "zero",
-}
+WALKER = {**DIHEDRAL, **BRANCHES, "fall_price": 3.0, "horizon": 40, "output_weights": "zero"}
 """A primitive of the ant on branches, with all that helps it learn."""
 BY_ENVIRONMENT = {
     "point-flagrun": {
@@ -195,9 +155,10 @@ BY_ENVIRONMENT = {
     },
     "ant-gather": {
         "walker": {
-            **WALKER, **EQUIVARIANT, "mirrored": "pair",
-            "fitness_shaping": "pair_rank", "primitive_population_size": 8, "primitive_sigma": 0.1,
-            "primitive_learning_rate": 0.05, "intervals": 1, "clock_frequency": 1.2,
+            **WALKER, "controller_network": "equivariant", "controller_view": "sectors",
+            "controller_output": "heading_direction", "mirrored": "pair", "fitness_shaping": "pair_rank",
+            "primitive_population_size": 8, "primitive_sigma": 0.1, "primitive_learning_rate": 0.05,
+            "intervals": 1, "clock_frequency": 1.2,
         },
     },
     "point-push": {
@@ -212,16 +173,15 @@ BY_ENVIRONMENT = {
 METHODS = [
     *(("point-maze", name, settings) for name, settings in {**BY_CHOICE, **BY_HAND}.items()),
     *((env, name, settings) for env, cases in BY_ENVIRONMENT.items() for name, settings in cases.items()),
+    *((each.name, each.spec, {"spec": each.spec}) for each in VARIANTS),
 ]
 QUICK = {
     ("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen"),
-    ("ant-flagrun", "walker"), ("ant-gather", "walker"),
+    ("ant-flagrun", "walker"), ("ant-gather", "walker"), ("point-push", "hiro"),
 }  # fmt: skip
 """These share enough with the others for every day."""
 SAME_AS_USUAL = {
-    "integrator=default",
-    "integrator=euler",
-    "integrator=implicitfast",
+    *(f"integrator={name}" for name in ("default", "euler", "implicitfast")),
     "controller_output=heading_vector",
 }
 """Point Maze is Euler's already by default, and the point has no damping that an implicit step would treat otherwise.
@@ -245,8 +205,8 @@ def source(tmp_path_factory):
 def test_neither_workers_nor_a_resume_change_any_method(tmp_path, source, env, settings):
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
-    one = runs.train_tiny(tmp_path / "one", env, **method(settings))
-    two = runs.train_tiny(tmp_path / "two", env, **{**method(settings), "generations": 1})
+    one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
+    two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
     shes.resume(two, generations=3, backend="processes", num_workers=2, chunk_size=5)
     assert runs.differences(one, two) == []
 
@@ -254,14 +214,11 @@ def test_neither_workers_nor_a_resume_change_any_method(tmp_path, source, env, s
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory):
     """Return a function that returns the folder of a run of Point Maze with some settings and no other choice."""
-    made = {}
 
+    @cache
     def make(settings):
-        key = tuple(sorted(settings.items()))
-        if key not in made:
-            path = tmp_path_factory.mktemp("usual") / "run"
-            made[key] = runs.train_tiny(path, "point-maze", **{**METHOD, **settings})
-        return made[key]
+        path = tmp_path_factory.mktemp("usual") / "run"
+        return runs.train_tiny(path, "point-maze", **METHOD, **dict(settings))
 
     return make
 
@@ -269,10 +226,10 @@ def usual(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BY_CHOICE)
 def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
-    path = runs.train_tiny(tmp_path / "run", "point-maze", **method(BY_CHOICE[name]))
+    path = runs.train_tiny(tmp_path / "run", "point-maze", **METHOD, **BY_CHOICE[name])
     field, _, choice = name.partition("=")
     others = companions(field, choice)
-    same = usual({name: value for name, value in others.items() if name != field})
+    same = usual(tuple((name, value) for name, value in others.items() if name != field))
     is_usual = RunFolder.open(same).read_config().values[field] == choice or name in SAME_AS_USUAL
     found = {each for each in runs.differences(same, path) if not each.endswith("/settings")}
     assert (not found) is is_usual
@@ -323,10 +280,6 @@ def change_a_digit(path):
     (path / "evaluation.csv").write_text(f"{numbers[:-1]}9,{process_time_s}\n")
 
 
-def remove_a_checkpoint(path):
-    (path / "checkpoints" / "generation_000002.npz").unlink()
-
-
 def remove_a_row(path):
     rows = (path / "progress.csv").read_text().splitlines(keepends=True)
     (path / "progress.csv").write_text("".join(rows[:-1]))
@@ -337,7 +290,7 @@ def remove_a_row(path):
     [
         (change_a_bit, "last.npz/primitive/theta"),
         (change_a_digit, "evaluation.csv/diverged_episodes"),
-        (remove_a_checkpoint, "generation_000002.npz/"),
+        (lambda path: (path / "checkpoints" / "generation_000002.npz").unlink(), "generation_000002.npz/"),
         (remove_a_row, "progress.csv/"),
     ],
 )

@@ -1,14 +1,9 @@
 """Compares two compiled models in all fields that the physics reads."""
 
-import mujoco
 import numpy as np
 
 _PREFIXES = ("body_", "jnt_", "dof_", "geom_", "actuator_", "qpos")
-_WITHOUT_MEANING = {
-    "geom_rgba",  # a colour
-    "body_bvhadr",  # bounding volumes follow from the geoms
-    "body_bvhnum",
-}
+_WITHOUT_MEANING = {"geom_rgba", "body_bvhadr", "body_bvhnum"}  # colours; bounding volumes follow from the geoms
 
 
 def model_differences(model, other, but=()):
@@ -42,7 +37,6 @@ def model_differences(model, other, but=()):
     return differences
 
 
-def _geom_order(model: mujoco.MjModel):
-    """Return the geoms' indices sorted by body, type, position and size."""
+def _geom_order(model):
     keys = np.column_stack([model.geom_bodyid, model.geom_type, model.geom_pos, model.geom_size]).round(9) + 0.0
     return sorted(range(model.ngeom), key=lambda g: tuple(keys[g]))

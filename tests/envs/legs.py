@@ -5,8 +5,6 @@ body onto itself and every leg onto another: an ant of pose R in the first world
 permuted legs, in the second.
 """
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -27,33 +25,18 @@ ELEMENTS = tuple(quarters(k) @ mirror for mirror in (np.eye(3), MIRROR) for k in
 """The symmetry of the ant's body: four turns to the left, and each of them after a mirroring."""
 
 
-@dataclass(frozen=True)
-class Hinges:
-    """The action of one group element on a model's hinges."""
-
-    source: np.ndarray
-    """Which hinge each one is the image of."""
-    sign: np.ndarray
-    """Whether it turns the other way."""
-
-
 def images_of_hinges(model, element):
-    """Return the action of `element` on the hinges of `model`, from the positions and axes of its legs."""
+    """Return which hinge of `model` each one is the image of under `element`, and whether it turns the other way."""
     hinges = [joint for joint in range(model.njnt) if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)  # all legs stretched, the torso upright: places and axes are the torso's
-    places = data.xanchor[hinges] - data.xpos[model.body("torso").id]
-    axes = data.xaxis[hinges]
-    source, sign = [], []
-    for place, axis in zip(places, axes, strict=True):
-        # An axis of rotation is a pseudovector.
-        there, around = places @ element.T, np.linalg.det(element) * axes @ element.T
-        (found,) = [
-            i for i in range(len(hinges)) if np.allclose(there[i], place) and np.isclose(abs(around[i] @ axis), 1)
-        ]
-        source.append(found)
-        sign.append(np.rint(around[found] @ axis))
-    return Hinges(np.array(source), np.array(sign))
+    places, axes = data.xanchor[hinges] - data.xpos[model.body("torso").id], data.xaxis[hinges]
+    # An axis of rotation is a pseudovector.
+    there, around = places @ element.T, np.linalg.det(element) * axes @ element.T
+    is_image = np.isclose(places[:, None], there).all(axis=2) & np.isclose(np.abs(axes @ around.T), 1)
+    assert (is_image.sum(axis=1) == 1).all()
+    source = is_image.argmax(axis=1)
+    return source, np.rint((axes @ around.T)[range(len(hinges)), source])
 
 
 class Images:
@@ -63,12 +46,11 @@ class Images:
         """Map by `world` [3, 3] and the body's `element` [3, 3]: both rotations or both reflections."""
         assert np.isclose(np.linalg.det(world), np.linalg.det(element))
         self.model, self.world, self.element = model, world, element
-        self.hinges = images_of_hinges(model, element)
+        self.source, self.sign = images_of_hinges(model, element)
 
     def qpos(self, qpos):
-        rotation = np.zeros(9)
+        rotation, quaternion = np.zeros(9), np.zeros(4)
         mujoco.mju_quat2Mat(rotation, qpos[3:7])
-        quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, (self.world @ rotation.reshape(3, 3) @ self.element.T).ravel())
         return np.concatenate([self.world @ qpos[:3], quaternion, self._hinge(qpos[7:])])
 
@@ -89,4 +71,4 @@ class Images:
         return self.world[:2, :2] @ place
 
     def _hinge(self, values):
-        return self.hinges.sign * values[self.hinges.source]
+        return self.sign * values[self.source]

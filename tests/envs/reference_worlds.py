@@ -20,12 +20,6 @@ What these leave open about worlds, and how it is decided here:
 - Walls of the hiro Gather: inner faces at +-10.5; 8 thick and 4 high like all walls (rllab: 1 thick, 1 high).
 """
 
-from typing import Literal
-
-BodyName = Literal["ant", "point"]
-Box = tuple[float, float, float, float, float, float]
-"""x, y, z of the centre and half sizes."""
-
 CELL = 8.0
 HEIGHT = 4.0
 TORSO = 0.75
@@ -60,17 +54,11 @@ LEGS
     </body>
   </worldbody>
   <actuator>
-    <motor name="hip_4" joint="hip_4"/>
-    <motor name="ankle_4" joint="ankle_4"/>
-    <motor name="hip_1" joint="hip_1"/>
-    <motor name="ankle_1" joint="ankle_1"/>
-    <motor name="hip_2" joint="hip_2"/>
-    <motor name="ankle_2" joint="ankle_2"/>
-    <motor name="hip_3" joint="hip_3"/>
-    <motor name="ankle_3" joint="ankle_3"/>
+MOTORS
   </actuator>
 </mujoco>
 """
+MOTOR = '    <motor name="{0}_{1}" joint="{0}_{1}"/>'
 LEG = """
       <body name="leg_{0}" pos="0 0 0">
         <geom name="fixed_{0}" type="capsule" size="0.08" fromto="0 0 0 {1} {2} 0"/>
@@ -115,139 +103,130 @@ Z_SLIDE
 
 
 def world_xml(
-    grid: tuple[str, ...],
-    body: BodyName,
+    grid,
+    body,
     *,
-    integrator: str = "euler",
-    merged: bool = False,
-    gear: float = 3.0,
-    damping: float = 0.4,
-    block_margin: float = 0.01,
-    limit_solimp: str = "0.9 0.95 0.001",
-) -> str:
-    """Robot, floor, platforms, walls and block of `grid`.
+    integrator="euler",
+    merged=False,
+    gear=3.0,
+    damping=0.4,
+    block_margin=0.01,
+    limit_solimp="0.9 0.95 0.001",
+):
+    """Return robot, floor, platforms, walls and block of `grid`.
 
     `gear` and `damping` are the point's. `block_margin` is that of the block's geom, `limit_solimp` that of a falling
     block's limits in y: what a stiffer or truer block would change; by default as specified, and MuJoCo's default.
     """
-    boxes = layer(grid, "#.rB", 0.0, merged) if is_elevated(grid) else []
-    boxes = boxes + layer(grid, "#", HEIGHT if is_elevated(grid) else 0.0, merged)
-    text = _robot_xml(body, elevated=is_elevated(grid), gear=gear, damping=damping)
-    if has_block(grid):
+    has_chasm = any("C" in row for row in grid)
+    boxes = layer(grid, "#.rB", 0.0, merged) if has_chasm else []
+    boxes += layer(grid, "#", HEIGHT if has_chasm else 0.0, merged)
+    text, block = robot_xml(body, has_chasm, gear, damping), ""
+    if any("B" in row for row in grid):
         assert text.count(PLAIN_SOLIMP) == 1
         text = text.replace(PLAIN_SOLIMP, BLOCK_SOLIMP)
-    return _finish(text, _boxes_xml(boxes) + _block_xml(grid, block_margin, limit_solimp), integrator)
+        block = block_xml(*centre_of(grid, "B"), has_chasm, block_margin, limit_solimp)
+    return finished(text, boxes_xml(boxes) + block, integrator)
 
 
-def hiro_gather_xml(body: BodyName, *, integrator: str = "rk4", gear: float = 3.0, damping: float = 0.4) -> str:
-    """The arena of the hiro Gather: four walls with inner faces at +-10.5, 8 thick, 4 high."""
-    inner, half_thickness, half_height = 10.5, CELL / 2, HEIGHT / 2
-    middle, outer = inner + half_thickness, inner + 2 * half_thickness
-    boxes = [
-        (0.0, -middle, half_height, outer, half_thickness, half_height),
-        (0.0, middle, half_height, outer, half_thickness, half_height),
-        (-middle, 0.0, half_height, half_thickness, inner, half_height),
-        (middle, 0.0, half_height, half_thickness, inner, half_height),
-    ]
-    text = _robot_xml(body, elevated=False, gear=gear, damping=damping)
-    return _finish(text, _boxes_xml(boxes), integrator)
+def hiro_gather_xml(body, *, integrator="rk4", gear=3.0, damping=0.4):
+    """Return the arena of the hiro Gather: four walls with inner faces at +-10.5, 8 thick, 4 high."""
+    inner, thick, high = 10.5, CELL / 2, HEIGHT / 2
+    middle, outer = inner + thick, inner + 2 * thick
+    boxes = [(0.0, y, high, outer, thick, high) for y in (-middle, middle)]
+    boxes += [(x, 0.0, high, thick, inner, high) for x in (-middle, middle)]
+    return finished(robot_xml(body, False, gear, damping), boxes_xml(boxes), integrator)
 
 
-def ant_gather_xml() -> str:
-    """The ant in the arena of the shes Gather."""
+def ant_gather_xml():
+    """Return the ant in the arena of the shes Gather."""
     return world_xml(GATHER, "ant", merged=True)
 
 
-def is_elevated(grid: tuple[str, ...]) -> bool:
-    """Whether the world has a chasm."""
-    return any("C" in row for row in grid)
-
-
-def has_block(grid: tuple[str, ...]) -> bool:
-    """Whether the world has a movable block."""
-    return any("B" in row for row in grid)
-
-
-def cell_centre(grid: tuple[str, ...], i: int, j: int) -> tuple[float, float]:
-    """Place of the centre of row i, column j; the robot's cell is the origin."""
-    for robot_i, row in enumerate(grid):
-        for robot_j, cell in enumerate(row):
-            if cell == "r":
-                return CELL * (j - robot_j), CELL * (i - robot_i)
-    raise ValueError("no robot in the grid")
-
-
-def cell_at(grid: tuple[str, ...], x: float, y: float) -> str:
-    """The cell that holds (x, y), a wall outside the grid; used to redraw targets (`free_cells`)."""
+def cells_of(grid):
+    """Yield the cells with their row and column."""
     for i, row in enumerate(grid):
         for j, cell in enumerate(row):
-            centre_x, centre_y = cell_centre(grid, i, j)
-            if abs(x - centre_x) < CELL / 2 and abs(y - centre_y) < CELL / 2:
-                return cell
+            yield cell, i, j
+
+
+def centre_of(grid, sign):
+    """Return x and y of the centre of the only cell with this sign; the robot's cell is the origin."""
+    ((robot_i, robot_j),) = [(i, j) for cell, i, j in cells_of(grid) if cell == "r"]
+    ((i, j),) = [(i, j) for cell, i, j in cells_of(grid) if cell == sign]
+    return CELL * (j - robot_j), CELL * (i - robot_i)
+
+
+def cell_at(grid, x, y):
+    """Return the cell that holds (x, y), a wall outside the grid; used to redraw targets (`free_cells`)."""
+    ((robot_i, robot_j),) = [(i, j) for cell, i, j in cells_of(grid) if cell == "r"]
+    for cell, i, j in cells_of(grid):
+        if abs(x - CELL * (j - robot_j)) < CELL / 2 and abs(y - CELL * (i - robot_i)) < CELL / 2:
+            return cell
     return "#"
 
 
-def layer(grid: tuple[str, ...], cells: str, bottom: float, merged: bool) -> list[Box]:
-    """One box per cell whose sign is in `cells`, from z `bottom` to `bottom` + 4, or as few as merging leaves."""
+def layer(grid, cells, bottom, merged):
+    """Return one box per cell whose sign is in `cells`, from z `bottom` to `bottom` + 4, or as few as merging leaves.
+
+    A box is x, y, z of its centre and its half sizes.
+    """
     # A rectangle of cells: first and last row, first and last column.
-    rectangles = [(i, i, j, j) for i, row in enumerate(grid) for j, cell in enumerate(row) if cell in cells]
+    rectangles = [(i, i, j, j) for cell, i, j in cells_of(grid) if cell in cells]
     if merged:
-        rectangles = _join(rectangles, along_row=True)
-        rectangles = _join(rectangles, along_row=False)
+        rectangles = join(join(rectangles, along_row=True), along_row=False)
+    ((robot_i, robot_j),) = [(i, j) for cell, i, j in cells_of(grid) if cell == "r"]
     boxes = []
     for first_i, last_i, first_j, last_j in rectangles:
-        left, low = cell_centre(grid, first_i, first_j)
-        right, high = cell_centre(grid, last_i, last_j)
-        half_x, half_y = (right - left + CELL) / 2, (high - low + CELL) / 2
-        boxes.append(((left + right) / 2, (low + high) / 2, bottom + HEIGHT / 2, half_x, half_y, HEIGHT / 2))
+        x, y = ((first_j + last_j) / 2 - robot_j) * CELL, ((first_i + last_i) / 2 - robot_i) * CELL
+        half_x, half_y = (last_j - first_j + 1) * CELL / 2, (last_i - first_i + 1) * CELL / 2
+        boxes.append((x, y, bottom + HEIGHT / 2, half_x, half_y, HEIGHT / 2))
     return boxes
 
 
-def _join(rectangles: list[tuple[int, int, int, int]], along_row: bool) -> list[tuple[int, int, int, int]]:
+def join(rectangles, along_row):
     """Join a pair of neighbours of the same width or height until there is none left."""
-    result = list(rectangles)
-    for one in result:
-        for other in result:
+    for one in rectangles:
+        for other in rectangles:
             if along_row:
                 fit = one[:2] == other[:2] and one[3] + 1 == other[2]
             else:
                 fit = one[2:] == other[2:] and one[1] + 1 == other[0]
             if fit:
-                rest = [rectangle for rectangle in result if rectangle not in (one, other)]
-                return _join([*rest, (one[0], other[1], one[2], other[3])], along_row)
-    return result
+                rest = [rectangle for rectangle in rectangles if rectangle not in (one, other)]
+                return join([*rest, (one[0], other[1], one[2], other[3])], along_row)
+    return rectangles
 
 
-def _robot_xml(body: BodyName, *, elevated: bool, gear: float, damping: float) -> str:
-    """The robot and the floor without anything else."""
+def robot_xml(body, is_elevated, gear, damping):
+    """Return the robot and the floor without anything else."""
     if body == "ant":
         text = ANT.replace("LEGS", "".join(LEG.format(*each) for each in LEGS))
-        return text.replace(f'pos="0 0 {TORSO}"', f'pos="0 0 {TORSO_ABOVE_CHASM if elevated else TORSO}"')
-    if body != "point":
-        raise ValueError(f"unknown body {body!r}")
-    text = POINT.replace("GRAVITY", "-9.81" if elevated else "0")
-    text = text.replace("START", repr(TORSO_ABOVE_CHASM if elevated else POINT_HEIGHT))
+        motors = [MOTOR.format(part, leg) for leg in (4, 1, 2, 3) for part in ("hip", "ankle")]
+        text = text.replace("MOTORS", "\n".join(motors))
+        return text.replace(f'pos="0 0 {TORSO}"', f'pos="0 0 {TORSO_ABOVE_CHASM if is_elevated else TORSO}"')
     slide = f'      <joint name="slide_z" type="slide" axis="0 0 1" ref="{TORSO_ABOVE_CHASM}" damping="DAMPING"/>'
-    text = text.replace("Z_SLIDE", slide if elevated else "")
-    return text.replace("GEAR", repr(float(gear))).replace("DAMPING", repr(float(damping)))
+    for name, value in {
+        "GRAVITY": "-9.81" if is_elevated else "0",
+        "START": TORSO_ABOVE_CHASM if is_elevated else POINT_HEIGHT,
+        "Z_SLIDE": slide if is_elevated else "",
+        "GEAR": gear,
+        "DAMPING": damping,
+    }.items():
+        text = (POINT if name == "GRAVITY" else text).replace(name, str(value))
+    return text
 
 
-def _boxes_xml(boxes: list[Box]) -> str:
-    lines = [
-        f'    <geom name="box_{number}" type="box" pos="{x} {y} {z}" size="{half_sizes}" conaffinity="1"/>'
-        for number, (x, y, z, *half) in enumerate(boxes)
-        for half_sizes in [" ".join(str(size) for size in half)]
-    ]
-    return "\n".join(lines) + "\n"
+def boxes_xml(boxes):
+    return "".join(
+        f'    <geom name="box_{number}" type="box" pos="{x} {y} {z}" size="{a} {b} {c}" conaffinity="1"/>\n'
+        for number, (x, y, z, a, b, c) in enumerate(boxes)
+    )
 
 
-def _block_xml(grid: tuple[str, ...], margin: float, limit_solimp: str) -> str:
-    """The movable block: slides in x and y, or where there is a chasm in y and z; nothing without a block."""
-    if not has_block(grid):
-        return ""
-    ((i, j),) = [(i, j) for i, row in enumerate(grid) for j, cell in enumerate(row) if cell == "B"]
-    x, y = cell_centre(grid, i, j)
-    if is_elevated(grid):
+def block_xml(x, y, is_elevated, margin, limit_solimp):
+    """Return the movable block: slides in x and y, or where there is a chasm in y and z."""
+    if is_elevated:
         z, half, mass = HEIGHT + HEIGHT / 2, CELL / 2 * 0.99, 0.001
         slides = [
             ("y", "0 1 0", f'limited="true" range="-8 8" solimplimit="{limit_solimp}"'),
@@ -257,16 +236,15 @@ def _block_xml(grid: tuple[str, ...], margin: float, limit_solimp: str) -> str:
         z, half, mass = HEIGHT / 2, CELL / 2, 0.0002
         slides = [("x", "1 0 0", 'limited="false"'), ("y", "0 1 0", 'limited="false"')]
     joints = "".join(
-        f'      <joint name="block_{name}" type="slide" axis="{axis}" {limits} margin="0.01"'
-        ' armature="0" damping="0"/>\n'
+        f'<joint name="block_{name}" type="slide" axis="{axis}" {limits} margin="0.01" armature="0" damping="0"/>\n'
         for name, axis, limits in slides
     )
     size = f"{half} {half} {HEIGHT / 2}"
     geom = f'<geom name="block" type="box" size="{size}" mass="{mass}" margin="{margin}" conaffinity="1"/>'
-    return f'    <body name="block" pos="{x} {y} {z}">\n{joints}      {geom}\n    </body>\n'
+    return f'<body name="block" pos="{x} {y} {z}">{joints}{geom}</body>\n'
 
 
-def _finish(text: str, more: str, integrator: str) -> str:
+def finished(text, more, integrator):
     """Put `more` at the end of the world and set the integrator."""
     text = text.replace("  </worldbody>", more + "  </worldbody>")
     return text.replace('integrator="Euler"', f'integrator="{INTEGRATORS[integrator]}"')

@@ -1,4 +1,4 @@
-"""The ant and the point: numbers of their models, yaw and fall by hand, and how the point moves.
+"""The ant and the point: yaw and fall by hand, and how they move.
 
 That the models equal hand-written ones is tested in `test_task_reference.py`.
 """
@@ -9,17 +9,12 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.envs.bodies.ant import Ant
-from shes.envs.bodies.point import Point
 from shes.envs.registry import make_task
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.task_options import TaskOptions
 from tests.envs.compare_models import model_differences
 from tests.envs.reference_tasks import yaw
 from tests.envs.reference_worlds import ant_gather_xml
-
-
-def model_of(body):
-    return Gather.build_world(body, TaskOptions()).compile()
 
 
 @pytest.mark.parametrize(
@@ -38,23 +33,14 @@ def model_of(body):
     ],
 )
 def test_the_comparison_of_models_sees_a_difference(old, new):
-    text = ant_gather_xml()
+    text, model = ant_gather_xml(), Gather.build_world(Ant(), TaskOptions()).compile()
     assert old in text
-    assert model_differences(model_of(Ant()), mujoco.MjModel.from_xml_string(text)) == []
-    assert model_differences(model_of(Ant()), mujoco.MjModel.from_xml_string(text.replace(old, new)))
-
-
-def test_the_ants_motors_and_joints_have_the_published_order():
-    model = model_of(Ant())
-    assert (model.nq, model.nv, model.nu, model.qpos0[2]) == (15, 14, 8, 0.75)
-    joints = [model.joint(i).name for i in range(1, model.njnt)]
-    assert joints == [f"{part}_{leg}" for leg in (1, 2, 3, 4) for part in ("hip", "ankle")]
-    motors = [model.joint(model.actuator(i).trnid[0]).name for i in range(model.nu)]
-    assert motors == [f"{part}_{leg}" for leg in (4, 1, 2, 3) for part in ("hip", "ankle")]
+    assert model_differences(model, mujoco.MjModel.from_xml_string(text)) == []
+    assert model_differences(model, mujoco.MjModel.from_xml_string(text.replace(old, new)))
 
 
 def test_the_ant_does_not_collide_with_itself():
-    data = mujoco.MjData(model_of(Ant()))
+    data = mujoco.MjData(Gather.build_world(Ant(), TaskOptions()).compile())
     data.qpos[2] = 3.0
     data.qpos[7:] = [0.5, 1.2, -0.5, -1.2, 0.5, -1.2, -0.5, 1.2]
     mujoco.mj_forward(data.model, data)
@@ -69,41 +55,11 @@ def test_a_standing_ant_stays_up():
         assert not task.terminated.any()
 
 
-# The ant's yaw and fall.
-
-
-def quaternion(angle_deg, axis):
-    """Return w x y z of a rotation by `angle_deg` about `axis`."""
-    half = np.deg2rad(angle_deg) / 2
-    return np.array([np.cos(half), *(np.sin(half) * np.array(axis, dtype=float))])
-
-
 def heading(*quaternions):
     """Return the headings in degrees of ants with these torso quaternions."""
     qpos = np.zeros((len(quaternions), 15))
     qpos[:, 3:7] = quaternions
     return np.rad2deg(Ant().heading(qpos))
-
-
-@pytest.mark.parametrize("angle", [0, 30, 45, 89, 90, 91, 135, 179, -1, -45, -90, -135, -179])
-def test_yaw_is_the_angle_of_a_turn_about_the_vertical(angle):
-    turn = quaternion(angle, [0, 0, 1])
-    assert heading(turn, -turn) == pytest.approx([angle, angle], abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("angle", "axis", "expected"),
-    [
-        (30, [0, 1, 0], 60),  # nose down
-        (40, [1, 0, 0], 60),  # rolled about its own x axis
-        (180, [1, 0, 0], 60),  # on its back
-        (120, [0, 1, 0], -120),  # pitched beyond the vertical: the nose points backward
-    ],
-)
-def test_yaw_of_a_tilted_torso_is_the_direction_of_its_x_axis(angle, axis, expected):
-    product = np.zeros(4)
-    mujoco.mju_mulQuat(product, quaternion(60, [0, 0, 1]), quaternion(angle, axis))
-    assert heading(product) == pytest.approx([expected])
 
 
 def test_yaw_equals_the_reference_for_any_rotation():
@@ -119,36 +75,12 @@ def test_the_ant_has_fallen_outside_20_cm_to_1_m():
     assert_array_equal(Ant().fallen(qpos), [True, True, True, False, False, False, True, True, True])
 
 
-# The point.
-
-
-def start(num_episodes):
-    task = make_task("point-gather", num_episodes, TaskOptions(reset_noise=0))
-    task.reset(np.arange(num_episodes), range(num_episodes))
-    return task
-
-
-def test_the_point_is_a_sphere_of_330_g_that_touches_no_floor():
-    data = mujoco.MjData(model_of(Point()))
-    torso = data.model.body("torso")
-    assert (data.model.nq, data.model.nv, data.model.nu) == (2, 2, 2)
-    assert (torso.mass[0], torso.pos[2], data.model.geom("torso_geom").size[0]) == (0.33, 0.5, 0.25)
-    mujoco.mj_forward(data.model, data)
-    assert data.ncon == 0
-
-
-def test_each_control_pushes_along_its_own_axis_and_nothing_else_does():
-    task = start(5)
-    task.step(np.arange(5), np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [0, 0]], dtype=float))
-    assert_array_equal(np.sign(task.position), [[1, 0], [-1, 0], [0, 1], [0, -1], [0, 0]])
-    assert_array_equal(task.heading, np.zeros(5))
-    assert not task.terminated.any()
-
-
-def test_the_speed_approaches_gear_over_damping():
-    task, speeds = start(1), []
+def test_the_speed_of_a_point_approaches_gear_over_damping():
+    task, speeds = make_task("point-gather", 5, TaskOptions(reset_noise=0)), []
+    push = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [0, 0]], dtype=float)
     for _ in range(15):
-        task.step(np.arange(1), np.array([[1.0, 0.0]]))
+        task.step(np.arange(5), push)
+        assert_array_equal(np.sign(task.position), push)  # each control pushes along its own axis
         speeds.append(task.sim.qvel[0, 0])
     time = 0.1 * (1 + np.arange(15))
     # A force of 6 N on 0.33 kg with a damping of 0.8 N s/m, before the wall.

@@ -27,19 +27,28 @@ CLEARANCE_M = {"point": 0.3, "ant": 0.95}
 RUN_UP_M = 0.5
 """How much further off it may start."""
 
-# How deep the robot's centre (of the sphere; of the ant's torso, another sphere of 0.25 m) may be inside a box, and the
-# block in a wall or platform. Nothing may ever be over a wall.
-DEEPEST_IN_WALL_M = 0.0
-DEEPEST_IN_BLOCK_M = 0.5
-"""Contacts with a block of 0.2 g are soft: a point that pushes with its 6 N goes on with its surface 0.2 m in it, and
-one that hits it when a wall is behind it gets 0.6 m in, its centre 0.35 m; it is pushed out again."""
-DEEPEST_BLOCK_IN_WALL_M = 0.4
-"""0.25 m at most in a thousand episodes of any task and integrator."""
-DEEPEST_FOOT_IN_WALL_M = 0.4
-"""0.28 m at most in a thousand episodes of any task and integrator, 0.18 m with euler. The centre plane of a wall is
-4 m deep, so a foot that is never deeper than this never is on its other side."""
-DEEPEST_FOOT_IN_BLOCK_M = 0.8
-"""0.54 m at most in a thousand episodes, of the 4 m to the block's centre plane."""
+ALLOWED_M = {
+    # The robot's centre: of the point's sphere or the ant's torso, another sphere of 0.25 m. None may be over a wall.
+    "robot in wall": 0.0,
+    "robot over wall": 0.0,
+    "robot in platform": 0.0,
+    "robot under ground": 0.0,
+    # Contacts with a block of 0.2 g are soft: a point that pushes with its 6 N goes on with its surface 0.2 m in it.
+    # One that hits it when a wall is behind it gets 0.6 m in, its centre 0.35 m; it is pushed out again.
+    "robot in block": 0.5,
+    # 0.25 m at most in a thousand episodes of any task and integrator.
+    "block in wall": 0.4,
+    "block in platform": 0.4,
+    "block under ground": 0.4,
+    # 0.28 m at most in a thousand episodes. A foot that is never deeper never is beyond the wall's centre, at 4 m.
+    "foot in wall": 0.4,
+    "foot in platform": 0.4,
+    # 0.54 m at most in a thousand episodes, of the 4 m to the block's centre plane.
+    "foot in block": 0.8,
+}
+"""How deep they may be in each other at most."""
+ALLOWED_AT_REST_M = {"robot in block": 0.0, "foot in block": 0.1, "foot in wall": 0.0, "foot in platform": 0.0}
+"""The same after a second without a control; an ant may lean against the block (its feet: 0.04 m in a thousand)."""
 
 
 @dataclass
@@ -65,13 +74,6 @@ def find_boxes(model, prefix):
     return Boxes(boxes[:, 0], boxes[:, 1])
 
 
-def robot_center(task):
-    """Return the centre of the point or of the ant's torso [N, 3]."""
-    qpos = task.sim.qpos
-    height = qpos[:, 2] if task.body.num_qpos > 2 else np.full(len(qpos), 0.5)
-    return np.column_stack([qpos[:, :2], height])
-
-
 class Legs:
     """Finds the ant's feet: the centres of the spheres, of radius 0.08 m, at the ends of its capsules."""
 
@@ -95,66 +97,31 @@ def block_axes(task):
     return ["xyz".index(axis) for axis in getattr(task, "block_axes", "")]
 
 
-def block_center(task):
-    """Return the centre of the block [N, 3]."""
-    center = np.tile(task.sim.model.body("block").pos, (task.num_episodes, 1))
-    first = task.body.num_qpos
-    center[:, block_axes(task)] += task.sim.qpos[:, first : first + 2]
-    return center
-
-
-def deepest_foot(boxes, feet):
-    """Return the largest depth [N] of each ant's `feet` [N, 4, 3] in any of `boxes`."""
-    return boxes.depth(feet.reshape(-1, 3)).reshape(feet.shape[:2]).max(axis=1)
-
-
 def depths(task, legs=None):
-    """Return the current depths in metres by name, each [N]; positive is inside.
-
-    `legs`, if given, finds the ant's feet, which are then measured too.
-    """
-    model, robot = task.sim.model, robot_center(task)
+    """Return the current depths in metres by name, each [N]; positive is inside. `legs` measures the feet, too."""
+    model, qpos = task.sim.model, task.sim.qpos
+    robot = np.column_stack([qpos[:, :2], qpos[:, 2] if task.body.num_qpos > 2 else np.full(len(qpos), 0.5)])
     walls, platforms = find_boxes(model, "wall"), find_boxes(model, "platform")
     found = {"robot in wall": walls.depth(robot), "robot over wall": walls.up_to_the_sky().depth(robot)}
     found["robot under ground"] = -robot[:, 2]
-    if len(platforms.center):
+    feet = np.empty((len(qpos), 0, 3)) if legs is None else legs.find_feet(qpos)
+    boxes = {"wall": walls} | ({"platform": platforms} if len(platforms.center) else {})
+    if platforms := boxes.get("platform"):
         found["robot in platform"] = platforms.depth(robot)
-    if block_axes(task):
-        block, half = block_center(task), model.geom("block").size
+    for name in boxes if legs else ():
+        found[f"foot in {name}"] = boxes[name].depth(feet.reshape(-1, 3)).reshape(-1, 4).max(axis=1)
+    if axes := block_axes(task):
+        block, half = np.tile(model.body("block").pos, (len(qpos), 1)), model.geom("block").size
+        block[:, axes] += qpos[:, task.body.num_qpos :][:, :2]
         # Not to where it could leave through the bottom: the block stands on the ground.
         inside = np.minimum((half - np.abs(robot - block))[:, :2].min(axis=1), block[:, 2] + half[2] - robot[:, 2])
-        is_beneath = robot[:, 2] < block[:, 2] - half[2]
-        found["robot in block"] = np.where(is_beneath, -1.0, inside)
-        found["block in wall"] = walls.depth(block, half)
-        if len(platforms.center):
-            found["block in platform"] = platforms.depth(block, half)
+        found["robot in block"] = np.where(robot[:, 2] < block[:, 2] - half[2], -1.0, inside)
+        found |= {f"block in {name}": boxes[name].depth(block, half) for name in boxes}
+        if platforms:
             found["block under ground"] = half[2] - block[:, 2]
-    if legs is not None:
-        feet = legs.find_feet(task.sim.qpos)
-        found["foot in wall"] = deepest_foot(walls, feet)
-        if len(platforms.center):
-            found["foot in platform"] = deepest_foot(platforms, feet)
-        if block_axes(task):
-            from_block = np.abs(feet - block_center(task)[:, None])
-            found["foot in block"] = (model.geom("block").size - from_block).min(axis=2).max(axis=1)
+        if legs:
+            found["foot in block"] = (half - np.abs(feet - block[:, None])).min(axis=2).max(axis=1)
     return found
-
-
-ALLOWED_M = {
-    "robot in wall": DEEPEST_IN_WALL_M,
-    "robot over wall": DEEPEST_IN_WALL_M,
-    "robot in platform": DEEPEST_IN_WALL_M,
-    "robot under ground": DEEPEST_IN_WALL_M,
-    "robot in block": DEEPEST_IN_BLOCK_M,
-    "block in wall": DEEPEST_BLOCK_IN_WALL_M,
-    "block in platform": DEEPEST_BLOCK_IN_WALL_M,
-    "block under ground": DEEPEST_BLOCK_IN_WALL_M,
-    "foot in wall": DEEPEST_FOOT_IN_WALL_M,
-    "foot in platform": DEEPEST_FOOT_IN_WALL_M,
-    "foot in block": DEEPEST_FOOT_IN_BLOCK_M,
-}
-ALLOWED_AT_REST_M = {"robot in block": 0.0, "foot in block": 0.1, "foot in wall": 0.0, "foot in platform": 0.0}
-"""The same after a second without a control; an ant may lean against the block (its feet: 0.04 m in a thousand)."""
 
 
 def choose_starts(task, rng):
@@ -193,14 +160,7 @@ def choose_starts(task, rng):
 def is_on_ground(task, place):
     """Return whether there is ground at the robot's height at (x, y) `place`."""
     platforms = find_boxes(task.sim.model, "platform")
-    if not len(platforms.center):
-        return True
-    return platforms.up_to_the_sky().depth(np.array([[*place, 0.0]]))[0] > 0
-
-
-def draw_action(task, rng):
-    """Return extreme actions [N, A]."""
-    return rng.choice([-1.0, 1.0], (task.num_episodes, task.action_size)) * task.control_limit
+    return not len(platforms.center) or platforms.up_to_the_sky().depth(np.array([[*place, 0.0]]))[0] > 0
 
 
 def crash(name, num_episodes, steps, seed, *, change=None, **options):
@@ -218,35 +178,42 @@ def crash(name, num_episodes, steps, seed, *, change=None, **options):
             change(model)
         return CpuSimulator(model, num_sims)
 
+    def draw_action():
+        return rng.choice([-1.0, 1.0], (num_episodes, task.action_size)) * task.control_limit
+
     task = make_task(name, num_episodes, find_environment(name).options(**options), make_simulator)
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
     task.reset(ids, ids)
-    start, direction = choose_starts(task, rng)
-    task.sim.qpos[:, :2] = start
-    task.sim.qvel[:, :2] = direction * rng.uniform(*START_SPEED_M_S, num_episodes)[:, None]
-    if task.body.quaternion is not None:
-        half_yaw = rng.uniform(-np.pi, np.pi, num_episodes) / 2
-        zeros = np.zeros(num_episodes)
-        task.sim.qpos[:, 3:7] = np.column_stack([np.cos(half_yaw), zeros, zeros, np.sin(half_yaw)])
+    direction = launch(task, rng)
     legs = Legs(task.sim.model) if task.body.name == "ant" else None
-    greatest = {each: depth.copy() for each, depth in depths(task, legs).items()}
-    touch = Touch(task)
-    action = draw_action(task, rng)
+    greatest, touch = depths(task, legs), Touch(task)
+    action = draw_action()
     if task.body.name == "point":
         action = np.where(direction > 0, 1.0, -1.0) * task.control_limit
     for step in range(steps + 10):
         if step >= 4:
             changes = rng.random(num_episodes) < 0.2
-            action = np.where(changes[:, None], draw_action(task, rng), action)
+            action = np.where(changes[:, None], draw_action(), action)
         task.sim.ctrl[:] = action if step < steps else 0
         for _ in range(FRAME_SKIP):  # what Task.step does, seen from near
             task.sim.step(ids, 1)
             for each, depth in depths(task, legs).items():
-                np.maximum(greatest[each], depth, out=greatest[each])
+                greatest[each] = np.maximum(greatest[each], depth)
             touch.look()
     return SimpleNamespace(
         greatest=greatest, last=depths(task, legs), has_touched=touch.has_touched, has_diverged=task.diverged.copy()
     )
+
+
+def launch(task, rng):
+    """Place every robot near an obstacle, with any heading and a velocity towards it; return the direction [N, 2]."""
+    start, direction = choose_starts(task, rng)
+    task.sim.qpos[:, :2] = start
+    task.sim.qvel[:, :2] = direction * rng.uniform(*START_SPEED_M_S, len(start))[:, None]
+    if task.body.quaternion is not None:
+        half_yaw = rng.uniform(-np.pi, np.pi, len(start)) / 2
+        task.sim.qpos[:, 3:7] = np.column_stack([np.cos(half_yaw), 0 * half_yaw, 0 * half_yaw, np.sin(half_yaw)])
+    return direction
 
 
 class Touch:
@@ -301,7 +268,7 @@ def test_nothing_passes_through_anything(name, spec, integrator):
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize(("name", "spec"), WORLDS)
-def test_nothing_passes_through_anything_in_a_thousand_episodes(name, spec, integrator):
+def test_nothing_passes_in_a_thousand_episodes(name, spec, integrator):
     assert_nothing_passes(crash(name, 1000, 60, seed=1, integrator=integrator, spec=spec))
 
 
@@ -313,14 +280,8 @@ def test_the_feet_are_measured_where_the_legs_end():
 
 @pytest.mark.parametrize(
     ("name", "prefix"),
-    [
-        ("point-maze", "wall"),
-        ("ant-maze", "wall"),
-        ("point-push", "block"),
-        ("ant-push", "block"),
-        ("point-fall", "platform"),
-        ("ant-fall", "block"),
-    ],
+    [(f"{body}-{task}", box) for body in ("point", "ant") for task, box in (("maze", "wall"), ("push", "block"))]
+    + [("point-fall", "platform"), ("ant-fall", "block")],
 )
 def test_the_measurement_sees_what_passes_through(name, prefix):
     def make_intangible(model):

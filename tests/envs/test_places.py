@@ -28,34 +28,30 @@ def state(task, place, block=()):
         ("ant-fall", (8.2, 11.7, 0.75), (0, 0), (8, 12, 0, 0, 0)),
     ],
 )
-def test_a_cell_is_the_robots_place_its_height_and_the_blocks_place(name, place, block, cell):
+def test_a_cell_is_the_place_and_height_of_robot_and_block(name, place, block, cell):
     task = make_task(name, 1)
     places = task.places(state(task, place, block)[None])
     assert places.cells.tolist() == [list(cell)]
     assert places.positions.tolist() == [list(place)]
 
 
-@pytest.mark.parametrize(
-    ("place", "quaternion", "is_upright"),
-    [((0, 0, 0.75), STANDING, True), ((0, 0, 0.1), STANDING, False), ((0, 0, 0.75), LYING, False)],
-)
-def test_a_robot_is_upright_by_the_rule_of_its_body_and_its_tilt(place, quaternion, is_upright):
+@pytest.mark.parametrize("height", [0.75, 0.1])
+@pytest.mark.parametrize("quaternion", [STANDING, LYING])
+def test_upright_is_by_the_rule_of_the_body_and_its_tilt(height, quaternion):
     task = make_task("ant-maze", 1)
-    assert task.places(state(task, (*place, *quaternion))[None]).is_upright.tolist() == [is_upright]
+    found = task.places(state(task, (0, 0, height, *quaternion))[None]).is_upright
+    assert found.tolist() == [height == 0.75 and quaternion == STANDING]
 
 
-@pytest.mark.parametrize(("y", "is_success"), [(10.9, False), (11.1, True), (16.0, True), (21.1, False)])
 @pytest.mark.parametrize("name", ["point-maze", "ant-maze"])
-def test_success_is_measured_to_the_target_of_evaluation(name, y, is_success):
+def test_success_is_measured_to_the_target_of_evaluation(name):
     task = make_task(name, 1, ENVIRONMENTS[name].options(target=(0.0, 5.0)))
-    assert task.places(state(task, (0, y))[None]).is_success.tolist() == [is_success]
-    elsewhere = make_task(name, 1, ENVIRONMENTS[name].options(evaluation_target=(9.0, y)))
-    assert elsewhere.places(state(task, (9, y))[None]).is_success.tolist() == [True]
-
-
-def test_the_target_of_fall_has_a_height():
-    task = make_task("ant-fall", 1)
-    assert task.places(np.stack([state(task, (0, 24, z)) for z in (4.75, 0.4)])).is_success.tolist() == [True, False]
+    states = np.stack([state(task, (0, y)) for y in (10.9, 11.1, 16.0, 21.1)])
+    assert task.places(states).is_success.tolist() == [False, True, True, False]
+    elsewhere = make_task(name, 1, ENVIRONMENTS[name].options(evaluation_target=(9.0, 3.0)))
+    assert elsewhere.places(state(task, (9, 3))[None]).is_success.tolist() == [True]
+    fall = make_task("ant-fall", 1)  # its target has a height
+    assert fall.places(np.stack([state(fall, (0, 24, z)) for z in (4.75, 0.4)])).is_success.tolist() == [True, False]
 
 
 def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
@@ -68,7 +64,7 @@ def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
     assert rewards == [-10, -14, -14, -10]
 
 
-def test_a_shorter_way_does_not_stop_simulations_that_are_not_reset():
+def test_a_shorter_way_keeps_simulations_that_are_not_reset():
     task = make_task("point-maze", 2, ENVIRONMENTS["point-maze"].options(target=(6.0, 8.0), reset_noise=0.0))
     way = np.array([[0.1, 0], [0.2, 0], [0.3, 0], [6, 0]])
     task.set_way(way)
@@ -80,7 +76,7 @@ def test_a_shorter_way_does_not_stop_simulations_that_are_not_reset():
     assert np.isfinite(task.update_features()).all()
 
 
-def test_an_environment_without_a_target_has_neither_places_nor_a_way():
+def test_without_a_target_there_are_neither_places_nor_a_way():
     task = make_task("point-gather", 1)
     for refused in (lambda: task.places(np.zeros((1, 9))), lambda: task.set_way(np.zeros((1, 2)))):
         with pytest.raises(ConfigError, match=r"no way to .* in this environment\. Set --explore none\."):

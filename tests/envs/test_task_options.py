@@ -20,13 +20,14 @@ from shes.settings import setting_fields
 
 assert shes
 
-COMMON = {"spec", "integrator", "reset_noise", "evaluation"}
+COMMON = {"spec", "integrator", "reset_noise", "evaluation", "max_tilt"}
+WITH_TARGET = {"target", "evaluation_target", "waypoints"}
 OWN = {
-    Gather: {"max_tilt"},
-    Maze: {"max_tilt", "target", "evaluation_target", "waypoints", "target_sampling"},
-    Push: {"max_tilt", "target", "evaluation_target", "waypoints", "observe_block"},
-    Fall: {"max_tilt", "target", "evaluation_target", "waypoints", "observe_block"},
-    Flagrun: {"controller_interval", "goal_distance", "stiff_contacts", "max_tilt"},
+    Gather: set(),
+    Maze: WITH_TARGET | {"target_sampling"},
+    Push: WITH_TARGET | {"observe_block"},
+    Fall: WITH_TARGET | {"observe_block"},
+    Flagrun: {"controller_interval", "goal_distance", "stiff_contacts"},
 }
 
 
@@ -39,11 +40,7 @@ def test_every_task_has_the_common_options_and_its_own():
 @pytest.mark.parametrize(
     ("option", "wrong", "message"),
     [
-        (
-            "controller_interval",
-            0,
-            "controller_interval must be a whole number of at least 1, got 0. Set --controll",
-        ),
+        ("controller_interval", 0, "controller_interval must be a whole number of at least 1, got 0. Set --controll"),
         ("goal_distance", 0.99, "goal_distance must be between 1 and 1000, got 0.99. Set --goal-distance"),
         ("target", (0, -1000.1), "target must be numbers between -1000 and 1000, e.g. --target 0 16, got (0, -1000"),
         ("evaluation_target", (np.inf, 0), "evaluation_target must be numbers between -1000 and 1000"),
@@ -68,9 +65,12 @@ def test_a_value_out_of_range_is_refused_by_the_task(option, wrong, message):
 def test_gymnasium_takes_the_options_of_the_task_and_no_other():
     env = gymnasium.make("shes/PointMaze-v0", target=np.array([8, 3.5]), evaluation_target=[1, 2], evaluation=True)
     env.reset(seed=0)
-    np.testing.assert_array_equal(env.unwrapped._adapter.task.target, [[1.0, 2.0]])
+    np.testing.assert_array_equal(env.unwrapped.task.target, [[1.0, 2.0]])
     with pytest.raises(ConfigError, match=r"the environment has no option 'observe_block'\. Options: "):
         gymnasium.make("shes/PointMaze-v0", observe_block=True)
+
+
+FIXED = {"target": (1, 2), "target_sampling": "free_cells"}
 
 
 @pytest.mark.parametrize(
@@ -82,26 +82,14 @@ def test_gymnasium_takes_the_options_of_the_task_and_no_other():
             for name, wrong in (("point-maze", (1, 2, 3)), ("point-push", (1.0,)), ("point-fall", (1, 2)))
         ),
         ("point-push", {"waypoints": (1, 2, 3)}, r"waypoints of push must be 2 coordinates each, got .*\. Set --waypo"),
-        (
-            "point-fall",
-            {"waypoints": (1, 2)},
-            r"waypoints of fall must be 3 coordinates each, got .*\. Set --waypo",
-        ),
-        (
-            "point-maze",
-            {"waypoints": (8, 0)},
-            r"waypoints \(8.0, 0.0\) need a fixed target.* 0 16, or --waypoints no",
-        ),
-        (
-            "point-flagrun",
-            {"max_tilt": 45.0},
-            r"the point has no tilt to limit\. Define `cos_tilt` .*omit --max-tilt",
-        ),
+        ("point-fall", {"waypoints": (1, 2)}, r"waypoints of fall must be 3 coordinates each, got .*\. Set --waypo"),
+        ("point-maze", {"waypoints": (8, 0)}, r"waypoints \(8.0, 0.0\) need a fixed target.* 0 16, or --waypoints no"),
+        ("point-flagrun", {"max_tilt": 45.0}, r"the point has no tilt to limit\. Define `cos_tilt` .*omit --max-tilt"),
         ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, r"the point has no tilt to limit"),
         (
             "point-maze",
-            {"target": (1, 2), "target_sampling": "free_cells"},
-            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' has no effect.*Omit --t",
+            FIXED,
+            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' .*Omit --t",
         ),
     ],
 )
@@ -110,10 +98,23 @@ def test_options_that_do_not_fit_together_are_refused(name, options, message):
         make_task(name, 1, ENVIRONMENTS[name].options(**options))
 
 
-def test_options_that_fit_alone_are_accepted():
-    MazeOptions(waypoints=(8.0, 0.0), evaluation=True)
-    MazeOptions(target=(1, 2))
-    MazeOptions(target_sampling="free_cells")
+@pytest.mark.parametrize(
+    "options",
+    [
+        MazeOptions(waypoints=(8.0, 0.0), evaluation=True),
+        MazeOptions(spec="hiro", target=[1, 2]),
+        MazeOptions(target_sampling="free_cells"),
+        BlockOptions(),
+        FlagrunOptions(),
+    ],
+)
+def test_checked_options_are_checked_again_without_a_change(options):
+    assert type(options)(**vars(options)) == options
+    assert options.integrator == {"hiro": "rk4", "shes": "euler"}[options.spec]
+
+
+def test_options_that_every_task_has_suffice():
+    assert make_task("point-maze", 1, TaskOptions(reset_noise=0.0)).options == MazeOptions(reset_noise=0.0)
 
 
 def test_the_reward_is_the_way_left_through_the_waypoints():
@@ -146,55 +147,29 @@ def test_the_reward_is_the_way_left_through_the_waypoints():
 
 
 TILTS = np.deg2rad([0, 44, 46, 180, -46])
-over_tilt_limits = pytest.mark.parametrize(
-    ("limit", "evaluation", "expected"),
-    [(45.0, False, [False, False, True, True, True]), (45.0, True, [False] * 5), (None, False, [False] * 5)],
-)
+TOO_FAR = [False, False, True, True, True]
 
 
-def tilted(name, limit, evaluation):
-    """Return a task whose robots tilt by `TILTS`."""
+@pytest.mark.parametrize(("limit", "evaluation"), [(45.0, False), (45.0, True), (None, False)])
+@pytest.mark.parametrize("name", ["ant-flagrun", "ant-gather", "ant-maze", "ant-push", "ant-fall"])
+def test_a_tilt_beyond_the_limit_is_a_fall_in_training_alone(name, limit, evaluation):
+    expected = TOO_FAR if limit and not evaluation else [False] * 5
     task = make_task(name, len(TILTS), ENVIRONMENTS[name].options(max_tilt=limit, evaluation=evaluation))
     task.reset(np.arange(len(TILTS)), range(len(TILTS)))
     task.sim.qpos[:, 3:7] = np.stack([np.cos(TILTS / 2), 0 * TILTS, np.sin(TILTS / 2), 0 * TILTS], axis=1)
-    return task
-
-
-@over_tilt_limits
-@pytest.mark.parametrize("name", ["ant-flagrun", "ant-gather"])
-def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name, limit, evaluation, expected):
-    task = tilted(name, limit, evaluation)
-    assert task.terminated.tolist() == task.fallen.tolist() == expected
-    task.sim.qpos[:, 2] = 0.1  # as specified: the torso lies on the floor
-    assert task.terminated.all()
-
-
-@over_tilt_limits
-@pytest.mark.parametrize("name", ["ant-maze", "ant-push", "ant-fall"])
-def test_a_robot_stays_where_it_fell_if_falls_end_training(name, limit, evaluation, expected):
-    task = tilted(name, limit, evaluation)
-    assert task.ends_early == any(expected)
+    ends_by_itself = name in ("ant-flagrun", "ant-gather")
     task.reward[:] = -7
     assert task.terminated.tolist() == task.fallen.tolist() == expected
-    assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
-    task.sim.qpos[:, 2] -= 0.6  # the torso lies on the floor
-    assert task.terminated.tolist() == task.fallen.tolist() == [task.ends_early] * len(TILTS)
+    if not ends_by_itself:  # a robot stays where it fell
+        assert task.ends_early == any(expected)
+        assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
+    task.sim.qpos[:, 2] -= 0.7  # the torso lies on the floor
+    assert task.terminated.tolist() == task.fallen.tolist() == [ends_by_itself or any(expected)] * len(TILTS)
 
 
 @pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])
-def test_a_tilt_costs_as_much_as_a_fall_of_hiro_in_training_alone(evaluation, reward):
+def test_a_tilt_costs_as_much_as_a_fall_in_hiro_training(evaluation, reward):
     task = make_task("ant-gather", 1, FallOptions(spec="hiro", max_tilt=45.0, evaluation=evaluation))
     task.reset(np.arange(1), [1])
     task.sim.qpos[:, 3:7] = [0, 1, 0, 0]  # on its back
     assert task.update_features().tolist() == [reward]
-
-
-def test_options_that_every_task_has_suffice():
-    task = make_task("point-maze", 1, TaskOptions(reset_noise=0.0))
-    assert task.options == MazeOptions(reset_noise=0.0)
-
-
-@pytest.mark.parametrize("options", [MazeOptions(spec="hiro", target=[1, 2]), BlockOptions(), FlagrunOptions()])
-def test_options_that_were_checked_are_checked_again_without_a_change(options):
-    assert type(options)(**vars(options)) == options
-    assert options.integrator == {"hiro": "rk4", "shes": "euler"}[options.spec]

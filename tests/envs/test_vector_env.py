@@ -1,15 +1,14 @@
-"""Actions, seeds, limits and threads that a user gives to a Gymnasium environment."""
+"""Actions, options, seeds, limits and threads that a user gives to a Gymnasium environment."""
 
 import re
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.vector import AutoresetMode
 
 import shes  # registers
-from shes.errors import ConfigError, PolicyError
+from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
+from shes.gymnasium.env import TaskEnv
 from shes.gymnasium.vector_env import TaskVectorEnv
 
 assert shes
@@ -19,34 +18,68 @@ def make(num_envs=3, **options):
     return gymnasium.make_vec("shes/PointGather-v0", num_envs=num_envs, **options)
 
 
-def begun(num_envs):
-    """Return an environment of the ant, single if `num_envs` is 0, that has begun."""
-    name = "shes/AntGather-v0"
-    env = gymnasium.make_vec(name, num_envs=num_envs) if num_envs else gymnasium.make(name).unwrapped
-    env.reset(seed=0)
-    return env
+@pytest.fixture(params=[0, 2])
+def begin(request):
+    """Return a function that returns an environment of the ant, single or of two, that has begun."""
+
+    def make_one():
+        name, num_envs = "shes/AntGather-v0", request.param
+        env = gymnasium.make_vec(name, num_envs=num_envs) if num_envs else gymnasium.make(name).unwrapped
+        env.reset(seed=0)
+        return env
+
+    return make_one
 
 
-@pytest.mark.parametrize("num_envs", [0, 2])
-def test_a_finite_action_of_any_size_is_the_strongest(num_envs):
+def test_a_finite_action_of_any_size_is_the_strongest(begin):
     shown = []
     for size in (1.0, 1e308):  # warnings are errors: 1e308 times 30 overflows
-        env = begun(num_envs)
+        env = begin()
         shown.append(env.step(np.full(env.action_space.shape, -size))[0])
     np.testing.assert_array_equal(*shown)
 
 
-@pytest.mark.parametrize("num_envs", [0, 2])
-@pytest.mark.parametrize("wrong", ["forward", None, {"leg": 1}, ["1"] * 8, [[0.0], [0.0, 1.0]], np.full(8, 1j)])
-def test_an_action_without_numbers_is_refused(num_envs, wrong):
-    message = rf"an action must be an array of numbers in \[-1, 1\], got .*{re.escape(repr(wrong)[:6])}"
-    with pytest.raises(PolicyError, match=message):
-        begun(num_envs).step(wrong)
+def test_whole_numbers_and_lists_are_actions_too(begin):
+    one, other = begin(), begin()
+    action = np.zeros(one.action_space.shape, int)
+    action[..., [1, 3]] = 1, -1
+    np.testing.assert_array_equal(one.step(action.tolist())[0], other.step(action.astype(float))[0])
 
 
-def test_whole_numbers_and_lists_are_actions_too():
-    one, other = begun(0), begun(0)
-    np.testing.assert_array_equal(one.step([0, 1, 0, -1, 0, 0, 0, 0])[0], other.step(np.eye(8)[1] - np.eye(8)[3])[0])
+def test_an_action_without_numbers_is_refused(begin):
+    env = begin()
+    for wrong in ("forward", None, {"leg": 1}, ["1"] * 8, [[0.0], [0.0, 1.0]], np.full(8, 1j)):
+        message = rf"an action must be an array of numbers in \[-1, 1\], got .*{re.escape(repr(wrong)[:6])}"
+        with pytest.raises(PolicyError, match=message):
+            env.step(wrong)
+    for value in (np.nan, np.inf):
+        with pytest.raises(PolicyError, match=r"NaN or infinity; actions lie in \[-1, 1\]"):
+            env.step(np.full(env.action_space.shape, value))
+    num_envs, size = len(np.atleast_2d(env.action_space.sample())), env.action_space.shape[-1]
+    each = rf" in each of {num_envs} environments; got \(3, {size}\)" if num_envs > 1 else rf"; got \({3 * size},\)"
+    with pytest.raises(ShapeError, match=rf"ant-gather has shape \({size},\){each}"):
+        env.step(np.zeros((3, size) if num_envs > 1 else 3 * size))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"integrater": "rk4"}, ConfigError, "no option 'integrater'. Options: integrator"),
+        ({"integrator": "rk5"}, UnknownNameError, "Did you mean 'rk4'"),
+        ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
+        ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
+        ({"render_mode": "ansi"}, UnknownNameError, "unknown render_mode 'ansi'"),
+    ],
+)
+def test_a_wrong_option_is_refused(options, error, message):
+    for make_env in (TaskEnv, TaskVectorEnv):
+        with pytest.raises(error, match=message):
+            make_env("point-gather", **options)
+
+
+def test_render_needs_a_mode(begin):
+    with pytest.raises(ConfigError, match='render_mode="rgb_array"'):
+        begin().render()
 
 
 def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
@@ -62,20 +95,36 @@ THREADS = "num_threads must be a whole number of at least 0, got {}"
 NUMBER = "num_envs must be a whole number of at least 1, got {}"
 
 
+MODE = "autoreset_mode must be one of NextStep, SameStep, Disabled; got {}"
+MASK = "reset_mask must be a Boolean array of shape (3,); got {}"
+
+
 @pytest.mark.parametrize(
     ("use", "message", "values"),
     [
         (lambda it: make(max_episode_steps=it), LIMIT, (0, -3, 2.5, "a", True)),
         (lambda it: make(num_threads=it), THREADS, (-1, 1.5, "two", None, True)),
+        (
+            lambda it: make(autoreset_mode=it),
+            "autoreset_mode must be one of NextStep, SameStep, Disabled; got {}",
+            ("later",),
+        ),
         (lambda it: TaskVectorEnv("point-gather", num_envs=it), NUMBER, (0, -2, 2.5, "two", None, True)),
         (lambda it: make().reset(seed=it), SEED, (1.5, "a", True, [1.5, 2, 3], [1, "2", 3], {1, 2, 3}, np.array(3.0))),
+        (lambda it: make().reset(seed=it), "must have one for each of 3 environments; got {}", ([1, 2],)),
+        (lambda it: make().reset(options={"reset_mask": it}), MASK, (np.ones(2, bool), np.ones(3), [True] * 3)),
+        (lambda it: make().reset(options={"reset_mask": it}), "must have at least one True", (np.zeros(3, bool),)),
     ],
-    ids=["max_episode_steps", "num_threads", "num_envs", "seed"],
 )
 def test_a_wrong_argument_is_refused(use, message, values):
     for wrong in values:
         with pytest.raises(ConfigError, match=re.escape(message.format(repr(wrong)))):
             use(wrong)
+
+
+def test_a_step_before_the_reset_is_refused():
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        make().step(np.zeros((3, 2)))
 
 
 def test_seeds_may_be_numpys_and_some_may_be_left_open():
@@ -94,16 +143,3 @@ def test_threads_change_no_bit():
     for start, observations in zip(starts[1:], played[1:], strict=True):
         np.testing.assert_array_equal(start, starts[0])
         np.testing.assert_array_equal(observations, played[0])
-
-
-def test_episodes_may_begin_anew_in_the_step_in_which_they_end():
-    """Both specifications and all tasks are compared in the contract, if slow tests are run."""
-    options = {"max_episode_steps": 3, "target": (1.0, 2.0)}
-    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
-    ours = gymnasium.make_vec("shes/PointMaze-v0", num_envs=4, **mode, **options)
-    theirs = gymnasium.make_vec(
-        "shes/PointMaze-v0", num_envs=4, vectorization_mode="sync", vector_kwargs=mode, **options
-    )
-    assert data_equivalence(ours.reset(seed=3), theirs.reset(seed=3))
-    for action in np.random.default_rng(0).uniform(-1, 1, (8, *ours.action_space.shape)).astype(np.float32):
-        assert data_equivalence(ours.step(action), theirs.step(action))

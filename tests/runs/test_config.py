@@ -267,7 +267,7 @@ def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tm
     with pytest.raises(ConfigError, match=r"corner_m is not a setting of a run of point-gather with algorithm 'shes'"):
         make_config("point-gather", "smoke", {"corner_m": 2.0})
     env = gymnasium.make("shes/PointCorner-v0", **own).unwrapped
-    assert (env._adapter.task.options.corner_m, env._adapter.task.body.options.load_kg) == (3.0, 5.0)
+    assert (env.task.options.corner_m, env.task.body.options.load_kg) == (3.0, 5.0)
     gymnasium.registry.pop("shes/PointCorner-v0")
 
 

@@ -202,7 +202,7 @@ def test_a_primitive_alone_reads_the_goal_that_its_environment_sets(played, kind
     agent = load(played(kind))
     env = gymnasium_env(agent.config)
     observation, _ = env.reset(seed=3)
-    task, goals = env.unwrapped._adapter.task, set()
+    task, goals = env.unwrapped.task, set()
     for _ in range(agent.config.episodes.evaluation_horizon):
         action = agent.act(observation)
         np.testing.assert_allclose(agent.goal, task.goal, atol=1e-9)

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import shes.sim.warp
-import shes.sim.warp_device
 from shes.errors import ConfigError, MissingExtraError
+from shes.sim import warp_device
 from shes.sim.warp import bytes_per_sim
 from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
 
@@ -37,17 +36,9 @@ def versions(monkeypatch):
     return installed
 
 
-class Pool:
-    def __init__(self):
-        self.freed = 0
-
-    def free_all_blocks(self):
-        self.freed += 1
-
-
 @pytest.fixture
 def machine(monkeypatch, versions):
-    """A machine with a GPU: its Warp and its CuPy."""
+    """A machine with a GPU: its Warp and its CuPy; `freed` is how often CuPy gave back memory."""
     device = SimpleNamespace(name="Card 1", ordinal=0, stream=SimpleNamespace(cuda_stream=7))
     warp = SimpleNamespace(
         config=SimpleNamespace(log_level=20),
@@ -59,34 +50,38 @@ def machine(monkeypatch, versions):
         is_conditional_graph_supported=lambda: True,
         get_device=lambda _: device,
     )
-    stream = SimpleNamespace(use=lambda: None, synchronize=lambda: None)
-    pool = Pool()
+    stream, freed = SimpleNamespace(use=lambda: None, synchronize=lambda: None), []
 
     def deprecated(*_):
         warnings.warn("ExternalStream is deprecated", DeprecationWarning, stacklevel=2)  # CuPy 14.2; an error in tests
         return stream
 
+    runtime = SimpleNamespace(memGetInfo=lambda: (3000, 5000))
     cupy = SimpleNamespace(
         __version__="14.2.0",
         zeros=np.zeros,
-        get_default_memory_pool=lambda: pool,
-        cuda=SimpleNamespace(
-            Device=lambda _: stream,
-            ExternalStream=deprecated,
-            runtime=SimpleNamespace(memGetInfo=lambda: (3000, 5000)),
-        ),
+        get_default_memory_pool=lambda: SimpleNamespace(free_all_blocks=lambda: freed.append(1)),
+        cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated, runtime=runtime),
     )
     for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
         monkeypatch.setitem(sys.modules, name, module)
-    monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "")
-    return SimpleNamespace(warp=warp, cupy=cupy, pool=pool)
+    warp_device.start_warp.cache_clear()
+    yield SimpleNamespace(warp=warp, cupy=cupy, freed=freed)
+    warp_device.start_warp.cache_clear()
 
 
-@pytest.mark.parametrize("module", ["warp", "mujoco_warp"])
-def test_a_missing_extra_is_named(machine, monkeypatch, module):
+@pytest.mark.parametrize(
+    ("module", "message"),
+    [
+        ("warp", r"pip install 'shes\[gpu\]', or 'shes\[warp\]' for --device warp-cpu"),
+        ("mujoco_warp", r"pip install 'shes\[gpu\]', or 'shes\[warp\]' for --device warp-cpu"),
+        ("cupy", r"device cuda needs CuPy .*pip install 'shes\[gpu\]'"),
+    ],
+)
+def test_a_missing_extra_is_named(machine, monkeypatch, module, message):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'shes\[gpu\]', or 'shes\[warp\]' for --device warp-cpu"):
-        load_warp()
+    with pytest.raises(MissingExtraError, match=message):
+        WarpDevice("cuda")
 
 
 @pytest.mark.parametrize(
@@ -110,7 +105,7 @@ def test_a_version_before_its_release_counts(machine, versions):
     load_warp()
 
 
-def fail(text):
+def fails(text):
     """Return a function of CuPy that fails with `text`."""
 
     def zeros(_):
@@ -119,14 +114,19 @@ def fail(text):
     return {"zeros": zeros}
 
 
+NO_DRIVER = b"Warp CUDA warning: Could not find the NVIDIA CUDA driver.\n"
+OLD_CUPY = "cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version"
+
+
 @pytest.mark.parametrize(
     ("warp", "cupy", "message"),
     [
         (
-            {"get_cuda_device_count": lambda: 0},
+            {"get_cuda_device_count": lambda: 0, "init": lambda: os.write(2, NO_DRIVER)},
             {},
             r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\.",
         ),
+        ({"get_cuda_device_count": lambda: 0}, {}, r"Warp found none\. `nvidia-smi`"),
         (
             {"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)},
             {},
@@ -134,29 +134,21 @@ def fail(text):
         ),
         (
             {"get_cuda_driver_version": lambda: (12, 8)},
-            fail("cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version"),
+            fails(OLD_CUPY),
             r"newer driver: CuPy says .*for CUDA 12\.8\. Update it .*--device cpu",
         ),
         (
             {},
-            fail("Out of memory allocating 512 bytes"),
+            fails("Out of memory allocating 512 bytes"),
             r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\.",
         ),
     ],
-    ids=["no card", "old driver", "driver older than CuPy", "full GPU"],
+    ids=["no driver", "no card", "old driver", "driver older than CuPy", "full GPU"],
 )
-def test_a_card_that_cannot_be_used_is_a_clear_error(machine, monkeypatch, warp, cupy, message):
-    monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "Could not find the NVIDIA CUDA driver.")
-    for module, changes in ((machine.warp, warp), (machine.cupy, cupy)):
-        for name, value in changes.items():
-            monkeypatch.setattr(module, name, value)
+def test_a_card_that_cannot_be_used_is_a_clear_error(machine, warp, cupy, message):
+    vars(machine.warp).update(warp)
+    vars(machine.cupy).update(cupy)
     with pytest.raises(ConfigError, match=message):
-        WarpDevice("cuda")
-
-
-def test_missing_cupy_is_named(machine, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cupy", None)
-    with pytest.raises(MissingExtraError, match=r"device cuda needs CuPy .*pip install 'shes\[gpu\]'"):
         WarpDevice("cuda")
 
 
@@ -172,9 +164,9 @@ def test_the_record_of_a_card_has_its_name_driver_and_versions(machine):
     assert WarpDevice("warp-cpu").facts == {"name": "warp-cpu", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
 
 
-def test_free_memory_is_that_of_the_card_once_cupy_has_given_back_its_own(machine):
+def test_free_memory_is_what_is_left_once_cupy_has_freed_its_own(machine):
     assert WarpDevice("cuda").free_bytes() == 3000
-    assert machine.pool.freed == 1
+    assert machine.freed == [1]
     assert WarpDevice("warp-cpu").free_bytes() is None
 
 
@@ -193,23 +185,21 @@ def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
     assert is_out_of_memory(error) is expected
 
 
-def test_messages_of_warps_native_code_alone_are_kept(machine, capfd, monkeypatch):
-    monkeypatch.undo()
-    said = b"Warp CUDA warning: Could not find the driver.\nsomebody else\n"
-    monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(init=lambda: os.write(2, said)))
-    assert shes.sim.warp_device._start.__wrapped__() == "Could not find the driver."
+def test_messages_of_warps_native_code_alone_are_kept(machine, capfd):
+    machine.warp.init = lambda: os.write(2, NO_DRIVER + b"somebody else\n")
+    load_warp()
     os.write(2, b"after\n")
     assert capfd.readouterr() == ("", "somebody else\nafter\n")
 
 
-def test_stderr_comes_back_where_warp_cannot_start(capfd, monkeypatch):
+def test_stderr_comes_back_where_warp_cannot_start(machine, capfd):
     def init():
         os.write(2, b"why\n")
         raise RuntimeError("no")
 
-    monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(init=init))
+    machine.warp.init = init
     with pytest.raises(RuntimeError, match="no"):
-        shes.sim.warp_device._start.__wrapped__()
+        load_warp()
     assert capfd.readouterr().err == "why\n"
 
 
@@ -228,8 +218,8 @@ def test_the_memory_of_a_simulation_excludes_what_is_loaded_once(monkeypatch):
             state.loaded = True
 
     device = SimpleNamespace(free_bytes=lambda: state.free)
-    monkeypatch.setattr(shes.sim.warp, "WarpSimulator", Simulator)
-    monkeypatch.setattr(shes.sim.warp, "WarpDevice", lambda _: device)
+    monkeypatch.setattr("shes.sim.warp.WarpSimulator", Simulator)
+    monkeypatch.setattr("shes.sim.warp.WarpDevice", lambda _: device)
     assert bytes_per_sim("model", "cuda", 5, nconmax=3) == 1000
 
 

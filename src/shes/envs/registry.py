@@ -109,9 +109,6 @@ def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
         name: Lower-case words joined by `-`.
         body: The robot: a complete subclass of `Body`.
         task: The task: a complete subclass of `Task`.
-
-    Raises:
-        ConfigError: A class is missing or incomplete, or the name is malformed or taken by other classes.
     """
     if name in EXTERNAL_ENVIRONMENTS:
         raise ConfigError(f"environment {name!r} is already an external environment. Choose another name.")
@@ -138,7 +135,8 @@ def register_external(
     environment that is fully described by its id needs no registration: use the name `gymnasium:ID`.
 
     Args:
-        name: Lower-case words joined by `-`.
+        name: Lower-case words joined by `-`; one that is taken by the same id, or by a function of the same full name,
+            may be registered again.
         make: A Gymnasium id, whose package must be imported first (Gymnasium-Robotics is imported automatically); or a
             function that returns a new environment. To draw pictures it is called with `render_mode="rgb_array"`.
         locate: Returns (x, y, heading) of the robot, in metres and radians, from an observation and its `info`. By
@@ -146,11 +144,6 @@ def register_external(
             and y. S-ES needs no position.
         primitive_view: Indices in the flat observation that the primitive sees; by default all but `desired_goal`.
         score: `return`, or `success`: 1 if `info` reports `success` or `is_success` at the end of the episode, else 0.
-
-    Raises:
-        ConfigError: A value is not allowed, or the name is malformed or taken. The same id, or a function of the same
-            full name, may be registered again.
-        UnknownNameError: `score` is unknown.
     """
     if name in ENVIRONMENTS or name in INCLUDED:
         raise ConfigError(f"environment {name!r} is already taken. Choose another name.")

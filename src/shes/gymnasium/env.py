@@ -27,12 +27,10 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
             render_mode: `rgb_array`, `human` or None.
             options: Options of the task, such as those of `MazeOptions`, and of its body; `width`, `height` and
                 `camera` (`follow` or `top`) of pictures.
-
-        Raises:
-            UnknownNameError: `name`, `render_mode` or another name is unknown.
-            ConfigError: An option is unknown or out of range.
         """
         self._adapter = TaskAdapter(name, 1, render_mode, self.metadata["render_modes"], options)
+        self.task = self._adapter.task
+        """The task with its simulation, to look at."""
         self.render_mode = render_mode
         self.observation_space = self._adapter.observation_space
         self.action_space = self._adapter.action_space
@@ -47,12 +45,7 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
         return self._adapter.observation()[0], self._adapter.info_of(0)
 
     def step(self, action: NDArray[Any]) -> tuple[F64Array, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Advance by 0.1 s. A divergence terminates the episode; Gymnasium's wrapper applies the time limit.
-
-        Raises:
-            ShapeError: The shape of `action` is not [A].
-            PolicyError: `action` contains NaN or infinity, or is not numeric.
-        """
+        """Advance by 0.1 s. A divergence terminates the episode; Gymnasium's wrapper applies the time limit."""
         adapter = self._adapter
         adapter.step(np.array([0]), [action])
         reward = float(adapter.task.reward[0])

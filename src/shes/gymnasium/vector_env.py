@@ -52,10 +52,6 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             num_threads: Threads of the simulation; 0 is one for each core. Results do not depend on it.
             options: Options of the task, such as those of `MazeOptions`, and of its body; `width`, `height` and
                 `camera` (`follow` or `top`) of pictures.
-
-        Raises:
-            UnknownNameError: `name`, `render_mode` or another name is unknown.
-            ConfigError: An option is unknown or out of range.
         """
         threads = num_threads or num_cores()
         self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
@@ -65,6 +61,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             allowed = ", ".join(mode.value for mode in AutoresetMode)
             raise ConfigError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}.") from error
         self.metadata = {"render_modes": _RENDER_MODES, "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+        self.task = self._adapter.task
+        """The task with its simulations, to look at."""
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space = self._adapter.observation_space
@@ -84,9 +82,6 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         Args:
             seed: Environment i takes `seed + i` or `seed[i]`; None continues with the previous seeds.
             options: `reset_mask`, a Boolean array [N] with at least one True.
-
-        Raises:
-            ConfigError: `seed` is not a whole number or N of them, or the mask is malformed.
         """
         ids = np.flatnonzero(self._mask(options))
         self._start(ids, self._seeds(seed))
@@ -131,13 +126,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         self._adapter.reset(ids, chosen)
 
     def step(self, actions: NDArray[Any]) -> tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]:
-        """Advance by 0.1 s; episodes that have ended are reset according to `autoreset_mode`.
-
-        Raises:
-            ShapeError: The shape of `actions` is not [N, A].
-            PolicyError: `actions` contains NaN or infinity, or is not numeric.
-            ResetNeeded: An episode has not been started, or has ended in mode `Disabled`.
-        """
+        """Advance by 0.1 s; episodes that have ended are reset according to `autoreset_mode`."""
         mode = self.autoreset_mode
         if not self._is_ready.all() or (mode == AutoresetMode.DISABLED and self._has_ended.any()):
             raise ResetNeeded("an episode has not been started, or has ended: call reset() before step().")

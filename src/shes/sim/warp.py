@@ -7,10 +7,15 @@ saves the Python code between kernels, which dominates when few simulations run.
 Differences from MuJoCo in C: the state is float32; the solver stops at a tolerance of 1e-6; a contact at the edge of
 its margin may appear or not, by float32's rounding; box-box contacts have an additional corner (a block at rest against
 walls); `diverged` is set at the end of the substep in which the state became bad, not at the start of the next.
+
+Buffers for contacts (one that all simulations share) and constraints (one for each simulation) are allocated once. What
+does not fit is left out of the physics, so an overflow is an error.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -19,7 +24,6 @@ import numpy as np
 from shes.errors import ConfigError
 from shes.host_arrays import to_host
 from shes.sim.simulator import Simulator
-from shes.sim.warp_buffers import BufferPeaks, BufferSizes, default_sizes
 from shes.sim.warp_device import WarpDevice, WarpTimer, is_out_of_memory, load_warp
 from shes.types import F64Array, IntArray
 
@@ -27,6 +31,61 @@ _MAX_CONTACTS = 2**31 - 1
 """Largest number of contacts of all simulations together."""
 _MEASURED = (16, 64, 512)
 """Numbers of simulations whose memory is measured: a few to load the kernels, then enough to average over blocks."""
+_CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
+"""Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
+_CONTACTS_OF_OTHERS = 8
+_TOUCHES_OF_OTHERS = 3
+"""Geoms that another shape touches at once: a block touches the ground and two walls."""
+
+
+@dataclass(frozen=True)
+class BufferSizes:
+    """Buffer sizes per simulation."""
+
+    nconmax: int
+    """Contacts, or pairs of geoms close enough to be tested, on average over all simulations."""
+    njmax: int
+    """Constraint rows of each simulation: contacts, joint limits, friction losses, equalities."""
+
+
+@dataclass(frozen=True)
+class BufferPeaks:
+    """Largest use of the buffers since the simulator was made."""
+
+    contacts: int
+    """Contacts, or pairs of geoms to test, of all simulations together."""
+    constraints: int
+    """Constraint rows of one simulation."""
+
+    def check(self, sizes: BufferSizes, num_sims: int) -> None:
+        """Raise ConfigError if a buffer of `sizes` overflowed, so that contacts or constraints were left out."""
+        if self.contacts > sizes.nconmax * num_sims:
+            raise ConfigError(
+                f"mujoco-warp's contact buffer overflowed: {self.contacts} contacts or close pairs of geoms in "
+                f"{num_sims} simulations, room for {sizes.nconmax} each (nconmax), so some were left out. "
+                f"Set --nconmax to {math.ceil(1.5 * self.contacts / num_sims)}."
+            )
+        if self.constraints > sizes.njmax:
+            raise ConfigError(
+                f"mujoco-warp's constraint buffer overflowed: {self.constraints} rows in one simulation, room for "
+                f"{sizes.njmax} (njmax), so some were left out. Set --njmax to {math.ceil(1.5 * self.constraints)}."
+            )
+
+
+def default_sizes(model: mujoco.MjModel) -> BufferSizes:
+    """Return sizes for every moving geom touching the ground, and blocks also touching walls.
+
+    The number of contacts is doubled, because a pair of geoms takes a place while it is tested for contact.
+    """
+    contacts = 0
+    for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0):
+        per_touch = _CONTACTS_PER_TOUCH.get(int(model.geom_type[geom]))
+        contacts += _CONTACTS_OF_OTHERS * _TOUCHES_OF_OTHERS if per_touch is None else per_touch
+    dimensions = int(model.geom_condim.max(initial=1))
+    is_pyramid = model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    rows = max(1, 2 * (dimensions - 1)) if is_pyramid else dimensions
+    others = int(np.count_nonzero(model.jnt_limited)) + int(np.count_nonzero(model.dof_frictionloss)) + 6 * model.neq
+    return BufferSizes(nconmax=max(8, 2 * contacts), njmax=max(8, rows * contacts + others))
 
 
 class WarpSimulator(Simulator):
@@ -50,10 +109,6 @@ class WarpSimulator(Simulator):
             device: `warp-cpu` or `cuda`.
             nconmax: Size of the contact buffer per simulation, on average; by default from the model's geoms.
             njmax: Size of each simulation's constraint buffer, in rows; by default from the model's geoms and limits.
-
-        Raises:
-            ConfigError: mujoco-warp does not support the model, or there is no GPU.
-            MissingExtraError: mujoco-warp or CuPy is not installed.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
@@ -87,7 +142,7 @@ class WarpSimulator(Simulator):
             raise ConfigError(f"mujoco-warp does not run this model: {error} Use --device cpu.") from error
         self._model.opt.warn_overflow = 0  # no prints from kernels: `check_buffers` reports overflows
         self._model.callback.control = self._watch
-        self._model.callback.contactfilter = self._align
+        self._model.callback.contactfilter = self.align_tangents
         self._data: Any = self._mujoco_warp.make_data(
             self.model, self.num_sims, nconmax=self.buffers.nconmax, njmax=self.buffers.njmax
         )
@@ -193,7 +248,7 @@ class WarpSimulator(Simulator):
         counts = [data.nefc, data.nacon, data.ncollision, self._peak_constraints, self._peak_contacts]
         self._launch_kernel(self._kernels.watch_buffers, counts)
 
-    def _align(self, model: Any, data: Any) -> None:
+    def align_tangents(self, model: Any, data: Any) -> None:
         """Align the tangents of capsule contacts with MuJoCo in C. mujoco-warp calls this after collision detection."""
         contact = data.contact
         arguments = [data.nacon, contact.geom, contact.worldid, model.geom_type, data.geom_xmat, contact.frame]

@@ -46,7 +46,7 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
             f"mujoco-warp cannot be imported ({error}). Install it: pip install 'shes[gpu]', or 'shes[warp]' for "
             "--device warp-cpu alone."
         ) from error
-    _start()
+    start_warp()
     return warp, mujoco_warp
 
 
@@ -74,7 +74,7 @@ def _found(ask: Callable[[str], Any], package: str) -> Any:
 
 
 @cache
-def _start() -> str:
+def start_warp() -> str:
     """Initialise Warp, once; return what its native code writes to stderr about a missing GPU or an old driver."""
     import warp
 
@@ -134,7 +134,7 @@ class WarpDevice:
             self.warp_device: Any = warp.get_device("cpu")
             return
         if not warp.get_cuda_device_count():
-            told = f" ({_start().rstrip('.')})" if _start() else ""
+            told = f" ({start_warp().rstrip('.')})" if start_warp() else ""
             raise ConfigError(
                 f"device cuda needs an NVIDIA GPU and its driver, R580 or newer; Warp found none{told}. `nvidia-smi` "
                 "lists this machine's GPUs. Use --device cpu."
