@@ -30,7 +30,13 @@ WALKERS = {"gather": "ant-walker", "maze": "ant-walker", "push": "ant-walker-sti
 FROZEN: dict[str, dict[str, Any]] = {
     "gather": {"generations": 75, "evaluation_interval": 15, "evaluation_episodes": 100},
     "maze": {"generations": 60, "evaluation_interval": 10, "evaluation_episodes": 100},
-    "push": {"generations": 120, "evaluation_interval": 20, "evaluation_episodes": 100},
+    "push": {
+        "generations": 100,
+        "evaluation_interval": 10,
+        "evaluation_episodes": 100,
+        "learning_rate_end": 0.01,
+        "schedule_generations": 100,
+    },
     "fall": {"generations": 120, "evaluation_interval": 20, "evaluation_episodes": 100},
 }
 """Settings over the preset of a controller on a walker."""

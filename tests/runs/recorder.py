@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 import pytest
 
-from shes.algorithms import worker
+from shes.rollout import worker
 from shes.es.level import LevelState, LevelUpdate, UpdateRule, update_level
 from shes.es.noise import NoiseTable
 from shes.evolution import way_search
