@@ -39,13 +39,13 @@ SHES = [sys.executable, "-m", "shes"]
 
 @contextmanager
 def ray_cluster() -> Iterator[list[str]]:
-    """Start a Ray cluster on this machine, with a token of its own; yield the flags that join it."""
-    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token_hex(32)}
+    """Start a Ray cluster on this machine, with a token of its own; yield the flags that use it."""
+    os.environ |= {"RAY_ADDRESS": "127.0.0.1:6399", "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token_hex(32)}
     ray = str(Path(sys.executable).with_name("ray"))
     start = [ray, "start", "--head", "--port", "6399", "--num-cpus", "2", "--include-dashboard", "false"]
     subprocess.run(start, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        yield ["--backend", "ray", "--ray-address", "127.0.0.1:6399"]
+        yield ["--backend", "ray"]
     finally:
         subprocess.run([ray, "stop", "--force"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 

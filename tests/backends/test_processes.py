@@ -186,7 +186,7 @@ def test_a_stopped_worker_is_reported_and_replaced(tmp_path):
     stopped = int((tmp_path / "marker").read_text())
     assert not psutil.pid_exists(stopped)
     first, last = [event for event in backend.told if event.startswith(f"worker {stopped} ")][-2:]
-    assert re.fullmatch(rf"worker {stopped} .* no answer for \d s; it is replaced after 3 s \(.*timeout-s\)", first)
+    assert re.fullmatch(rf"worker {stopped} .* no answer for \d s; it is replaced after 3 s", first)
     assert re.fullmatch(rf"worker {stopped} was ended \(no answer for \d+ s\); [1-3] tasks are done again", last)
 
 
@@ -267,7 +267,7 @@ def test_progress_keeps_a_slow_task_but_silence_does_not(others, monkeypatch):
         (pid,) = backend.map([("step", 0)])
         backend.worker_timeout_s = 4
         assert list(backend.map([("step", 6)])) == [pid]
-        message = r"keep giving no answer for \d+ s (on the same task, .*|at once)\. .* raise --worker-timeout-s"
+        message = r"keep giving no answer for \d+ s (on the same task, .*|at once)\. .* use --backend serial\."
         with pytest.raises(WorkerError, match=message):
             list(backend.map([("where", 600)]))
     assert psutil.Process().children() == others

@@ -53,14 +53,16 @@ def backend(shared):
 
 
 def test_an_address_where_nothing_answers_is_an_error(monkeypatch):
+    def init(**_):
+        raise ConnectionError
+
     exceptions = types.SimpleNamespace(RayError=OSError)
-    ray = types.SimpleNamespace(is_initialized=lambda: False, remote=lambda **_: lambda cls: cls, exceptions=exceptions)
-    monkeypatch.setitem(sys.modules, "ray", ray)
-    for address in ("localhost:1", "nonsense"):
-        with pytest.raises(ConfigError, match=rf"no Ray cluster answers at '{address}': .* Set --ray-address to"):
-            RayBackend(Worker, 2, ray_address=address)
+    ray = {"is_initialized": lambda: False, "remote": lambda **_: lambda cls: cls, "exceptions": exceptions}
+    monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**ray, init=init))
+    for address in ("localhost:1", "nonsense", "auto"):
         monkeypatch.setenv("RAY_ADDRESS", address)
-        with pytest.raises(ConfigError, match=rf"at '{address}': .* Set the environment variable RAY_ADDRESS to"):
+        message = rf"no Ray cluster answers at '{address}': .* Set the environment variable RAY_ADDRESS to HOST:PORT"
+        with pytest.raises(ConfigError, match=message):
             RayBackend(Worker, 2)
 
 

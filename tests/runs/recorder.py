@@ -13,11 +13,11 @@ import numpy as np
 import psutil
 import pytest
 
-from shes.rollout import worker
 from shes.es.level import LevelState, LevelUpdate, UpdateRule, update_level
 from shes.es.noise import NoiseTable
 from shes.evolution import way_search
 from shes.evolution.state import TrainState
+from shes.rollout import worker
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.exploration import Exploration
 from shes.rollout.lockstep import Rollout
@@ -73,8 +73,6 @@ class Record:
     """Arguments of every simulator on a device."""
     backend: str = ""
     num_processes: int = 0
-    limits: dict[str, float | None] = field(default_factory=dict)
-    """Seconds after which worker processes that give no answer are told of, and replaced."""
     algorithm: Any = None
     state: Any = None
     """The state after the last generation."""
@@ -167,8 +165,6 @@ def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[
         others = psutil.Process().children()
         with build_backend(config, algorithm.plan()) as backend:
             record.backend = type(backend).__name__
-            names = ("worker_timeout_s",)
-            record.limits = {name: getattr(backend, name) for name in names if hasattr(backend, name)}
             record.num_processes = len(set(psutil.Process().children()) - set(others))
             for generation in generations:
                 record.state = next(algorithm.run(replace(start, generation=generation), backend)).state

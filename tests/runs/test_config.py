@@ -27,7 +27,6 @@ from shes.runs.sections import WorkerSettings, execution_settings, known_setting
 from shes.settings import Gt, Settings, Shared, flag
 from tests.e2e import own_classes, runs
 
-OF_BACKENDS = {"ray_address", "worker_timeout_s"}
 EXECUTION = {
     "preset", "backend", "num_workers", "chunk_size", "device", "nconmax", "njmax", "generations", "env_steps",
     "minutes", "keep_checkpoints",
@@ -65,9 +64,9 @@ def test_sections_are_those_of_the_algorithm(env, algorithm, sections):
 
 
 def test_settings_that_never_change_numbers_are_marked():
-    assert set(execution_settings()) - OF_BACKENDS == EXECUTION
+    assert set(execution_settings()) == EXECUTION
     numbers = make().numbers()
-    assert set(numbers) == set(make().values) - EXECUTION - OF_BACKENDS
+    assert set(numbers) == set(make().values) - EXECUTION
     execution = {"generations": 5, "env_steps": 900, "minutes": 1.0, "keep_checkpoints": 2, "preset": "paper"}
     assert make(num_workers=3, chunk_size=7, backend="serial", **execution).numbers() == numbers
     assert make(device="cuda", nconmax=3, njmax=7).numbers() == numbers
@@ -75,7 +74,7 @@ def test_settings_that_never_change_numbers_are_marked():
 
 
 def test_a_run_has_at_most_as_many_settings_as_can_be_read():
-    assert len(TrainConfig.of(env="ant-gather").values) - len(OF_BACKENDS) <= 65
+    assert len(TrainConfig.of(env="ant-gather").values) <= 65
 
 
 def test_every_number_has_a_range():

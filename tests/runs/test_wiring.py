@@ -15,13 +15,10 @@ import pytest
 from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
-from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
 from shes.evolution.estimates import draw_pairs
-from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.make_config import make_config
 from shes.runs.sections import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
@@ -104,11 +101,6 @@ def learning_rates(record):
 def sigmas(kind="training"):
     """Return what reads the standard deviation of the perturbations in every generation."""
     return lambda r: [round(each.generation.sigma, 6) for each in r.of(kind)]
-
-
-def limit(name):
-    """Return what reads a limit of worker processes that give no answer."""
-    return lambda r: r.limits[name]
 
 
 def episodes(record):
@@ -322,7 +314,6 @@ ROWS: dict[str, Row] = {
     "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7], [11, 11], env="point-push"),
     # workers
     "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
-    "worker_timeout_s": Row(None, limit("worker_timeout_s"), None, 600.0, beside={"backend": "processes"}),
     "backend": Row(
         "processes", lambda r: r.backend, "ProcessesBackend", "SerialBackend", beside={"num_workers": 2}
     ),
@@ -418,18 +409,9 @@ def test_a_setting_shows_in_the_run(name, source, tmp_path):
     assert show(runs.train_tiny(tmp_path / "run", **{**SHORT, **settings}), source) == expected
 
 
-def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
-    exceptions = SimpleNamespace(RayError=OSError)
-    package = SimpleNamespace(remote=lambda **_: lambda cls: cls, is_initialized=lambda: False, exceptions=exceptions)
-    monkeypatch.setattr("shes.backends.ray._import_ray", lambda: package)
-    config = make_config("point-gather", "smoke", {"backend": "ray", "ray_address": "localhost:1"})
-    with pytest.raises(ConfigError, match="no Ray cluster answers at 'localhost:1'"):
-        build_backend(config, build_algorithm(config).plan())
-
-
 def test_every_setting_has_a_row():
     of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/baselines
-    rows = {setting_of(row) for row in ROWS} | SHOWN.keys() | {"ray_address"}
+    rows = {setting_of(row) for row in ROWS} | SHOWN.keys()
     assert rows | of_hiro == known_settings().keys() - {"max_diverged_generations"}  # which is fixed
 
 

@@ -16,14 +16,13 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from selectors import EVENT_READ, EVENT_WRITE, BaseSelector, DefaultSelector
-from typing import Any, ClassVar
+from typing import Any
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.process_worker import FRAME
 from shes.backends.serving import ONE_THREAD, import_path, pickle_factory
-from shes.backends.supervision import RemoteWorker, SupervisingBackend, SupervisionSettings
+from shes.backends.supervision import REPLACED_S, RemoteWorker, SupervisingBackend
 from shes.errors import WorkerError
-from shes.settings import Settings
 
 _READ_BYTES = 2**20
 _END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
@@ -32,10 +31,11 @@ _END_S = 10.0  # wait for a killed process; one that waits for a disk may take l
 class ProcessesBackend(SupervisingBackend):
     """Worker processes on this machine, each with one thread. A lost or silent one is replaced."""
 
-    Options: ClassVar[type[Settings]] = SupervisionSettings
+    def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_timeout_s: float = REPLACED_S) -> None:
+        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles.
 
-    def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_timeout_s: float | None = None) -> None:
-        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
+        One without a sign of life for `worker_timeout_s` seconds is replaced.
+        """
         super().__init__(num_workers, worker_timeout_s)
         self._factory = pickle_factory(factory)
         self._import_path = os.pathsep.join(import_path())

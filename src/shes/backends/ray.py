@@ -13,49 +13,33 @@ import socket
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Thread
 from time import monotonic
 from types import ModuleType
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.serving import ClosedError, import_path, pickle_factory, serve, use_one_thread
-from shes.backends.supervision import CLOSE_S, REPORTED_S, RemoteWorker, SupervisingBackend, SupervisionSettings
+from shes.backends.supervision import CLOSE_S, REPORTED_S, RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError
 from shes.machine import num_cores
-from shes.settings import Example, Execution, Settings
 
 _ANSWER_S = 10.0  # wait for the head node of a cluster
 _LOOK_S = 1.0  # between two looks for nodes that have joined
 
 
-@dataclass(frozen=True, kw_only=True)
-class RaySettings(SupervisionSettings):
-    """The cluster, and the limit for workers that do not answer."""
-
-    ray_address: Annotated[str, Execution(), Example("head-node:6379")] | None = None
-    """Address of the Ray cluster; `local` starts one on this machine. If None, join the cluster named by RAY_ADDRESS
-    or running on this machine; if there is none, start one."""
-
-
 class RayBackend(SupervisingBackend):
-    """Workers on the nodes of a Ray cluster, one per CPU, and at most --workers."""
+    """Workers on the nodes of a Ray cluster, one per CPU, and at most --workers.
 
-    Options: ClassVar[type[Settings]] = RaySettings
+    The environment variable RAY_ADDRESS names the cluster; `local` starts one on this machine. Without it, join the
+    cluster that runs on this machine, or start one.
+    """
 
-    def __init__(
-        self,
-        factory: WorkerFactory,
-        num_workers: int,
-        *,
-        worker_timeout_s: float | None = None,
-        ray_address: str | None = None,
-    ) -> None:
+    def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Join or start the cluster, and start at most `num_workers` workers; raise ConfigError if that fails."""
-        super().__init__(1, worker_timeout_s)
-        self._most, self._address = num_workers, ray_address
+        super().__init__(1)
+        self._most = num_workers
         self._factory = pickle_factory(factory)
         self._ray = _import_ray()
         self._has_joined = False
@@ -97,7 +81,7 @@ class RayBackend(SupervisingBackend):
     def start_workers(self) -> None:
         """Create a worker for every CPU of the cluster that has none. Ray starts it when the CPU is free."""
         if not self._ray.is_initialized():
-            _join(self._ray, self._address)
+            _join(self._ray)
             self._has_joined = True
         self._looked_at = monotonic()
         self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
@@ -224,27 +208,25 @@ def _import_ray() -> ModuleType:
     return ray
 
 
-def _join(ray: ModuleType, address: str | None) -> None:
-    """Join the cluster at `address`; start one on this machine if that is `local`, or None and there is none.
+def _join(ray: ModuleType) -> None:
+    """Join the cluster that RAY_ADDRESS names, or that runs on this machine; start one if it is `local`, or none runs.
 
-    Asked for by `address` or RAY_ADDRESS, a cluster that does not answer is an error: a job for 600 cores must not run
-    on one node.
+    A named cluster that does not answer is an error: a job for 600 cores must not run on one node.
     """
-    asked = address or os.environ.get("RAY_ADDRESS") or "auto"
+    asked = os.environ.get("RAY_ADDRESS")
     quiet = {"log_to_driver": False, "logging_level": logging.WARNING}
     try:
-        if asked not in ("auto", "local"):  # Ray itself would ask for minutes
+        if asked not in (None, "", "auto", "local"):  # Ray itself would ask for minutes
             host, port = asked.rsplit(":", 1)
             socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
         if asked != "local":
-            ray.init(address=asked, **quiet)
+            ray.init(address=asked or "auto", **quiet)
             return
     except (OSError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
-        if asked != "auto" or address is not None:
-            where = "--ray-address" if address else "the environment variable RAY_ADDRESS"
+        if asked:
             raise ConfigError(
-                f"no Ray cluster answers at {asked!r}: {error}. Set {where} to HOST:PORT as `ray start --head` prints "
-                "it, to local for a cluster on this machine, or omit it. If the cluster asks for a token, set the "
-                "environment variable RAY_AUTH_MODE=token."
+                f"no Ray cluster answers at {asked!r}: {error}. Set the environment variable RAY_ADDRESS to HOST:PORT "
+                "as `ray start --head` prints it, or to local for a cluster on this machine, or unset it. If the "
+                "cluster asks for a token, set the environment variable RAY_AUTH_MODE=token."
             ) from error
     ray.init(address="local", num_cpus=num_cores(), include_dashboard=False, **quiet)

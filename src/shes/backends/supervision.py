@@ -10,33 +10,25 @@ import pickle
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from textwrap import shorten
 from time import monotonic, sleep
-from typing import Annotated, Any
+from typing import Any
 
 from shes.backends.backend import Backend
 from shes.errors import WorkerError
-from shes.settings import Execution, Gt, Settings
 
 MAX_LOSSES = 3
 """The run ends when so many workers were lost with the same task, or so many per worker in a row without a result."""
 REPORTED_S = 60.0
 """Seconds without a sign of life after which a worker is reported; less if it is replaced sooner."""
+REPLACED_S = 600.0
+"""Seconds without a sign of life after which a worker is replaced."""
 RESTART_S = 10.0
 """Pause before workers are started again if one has failed to start while others work."""
 CLOSE_S = 5.0
 """Seconds that workers have to close their environments before they are killed."""
 _TICK_S = 1.0
 _MOST_LETTERS = 300  # of a task in a message
-
-
-@dataclass(frozen=True, kw_only=True)
-class SupervisionSettings(Settings):
-    """The limit for workers that do not answer."""
-
-    worker_timeout_s: Annotated[float, Gt(0), Execution()] | None = 600.0
-    """Seconds without a sign of life after which a worker is replaced; none for never."""
 
 
 class RemoteWorker(ABC):
@@ -82,8 +74,8 @@ class SupervisingBackend(Backend):
     A subclass fills `workers` by `add_worker` in `start_workers`, which its constructor calls.
     """
 
-    def __init__(self, num_workers: int, worker_timeout_s: float | None) -> None:
-        """Begin without workers."""
+    def __init__(self, num_workers: int, worker_timeout_s: float | None = REPLACED_S) -> None:
+        """Begin without workers; a worker without a sign of life for `worker_timeout_s` is replaced, or never."""
         self.num_workers, self.worker_timeout_s = num_workers, worker_timeout_s
         self.workers: list[Any] = []
         """The workers that are not known to be gone."""
@@ -257,7 +249,7 @@ class SupervisingBackend(Backend):
             self._replace(worker, is_silent=True)
         elif not worker.is_reported and silent_s >= min(REPORTED_S, (limit_s or REPORTED_S) / 2):
             worker.is_reported = True
-            end = "never replaced" if limit_s is None else f"replaced after {limit_s:g} s (--worker-timeout-s)"
+            end = "never replaced" if limit_s is None else f"replaced after {limit_s:g} s"
             self.tell(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
 
     def _replace(self, worker: RemoteWorker, ending: str = "", *, is_silent: bool = False) -> None:
@@ -285,7 +277,7 @@ class SupervisingBackend(Backend):
         if task is None and self._losses_in_a_row < MAX_LOSSES * self._most_workers:
             return
         what = "at once" if task is None else f"on the same task, {self._task_text(task)}"
-        advice = "If a step takes so long, raise --worker-timeout-s." if is_silent else self.advice(fault)
+        advice = "If a step takes so long, use --backend serial." if is_silent else self.advice(fault)
         error = WorkerError(f"workers keep {fault} {what}. {advice} Everything up to the last checkpoint is kept.")
         error.task = task
         raise error
