@@ -89,33 +89,25 @@ def test_a_class_is_made_with_its_own_options():
         make(SHAPES, "bal", values)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sphere(Shape, Settings):
-    """A ball with another default."""
-
-    radius: Annotated[float, Gt(0)] = 2.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Marble(Shape, Settings):
-    """A ball with another range."""
-
-    radius: Annotated[float, Gt(0), Lt(3)] = 1.0
+def shape(**options):
+    """Return a shape with options: name=(type, default) or name=(type,)."""
+    return make_dataclass("New", [(name, *each) for name, each in options.items()], bases=(Shape, Settings),
+                          frozen=True, kw_only=True)  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Egg(Shape, Settings):
-    """A shape whose option has the name of a setting."""
-
-    other_shape: Annotated[str, Choices(("oval",))] = "oval"
+POSITIVE = Annotated[float, Gt(0)]
+TWO_RADII = r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name"
 
 
 @pytest.mark.parametrize(
     ("cls", "message"),
     [
-        (Sphere, r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name"),
-        (Marble, r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name"),
-        (Egg, r"'other_shape' is an option of shape 'new', but already a setting of section 'other'\. Choose another"),
+        (shape(radius=(POSITIVE, 2.0)), TWO_RADII),  # another default
+        (shape(radius=(Annotated[float, Gt(0), Lt(3)], 1.0)), TWO_RADII),  # another range
+        (
+            shape(other_shape=(Annotated[str, Choices(("oval",))], "oval")),
+            r"'other_shape' is an option of shape 'new', but already a setting of section 'other'\. Choose another",
+        ),
     ],
 )
 def test_an_option_has_one_meaning(monkeypatch, cls, message):
@@ -127,39 +119,19 @@ def test_an_option_has_one_meaning(monkeypatch, cls, message):
 def test_classes_of_two_registries_cannot_share_an_option():
     sizes = Registry("size", {"round": Ball}, fix="", check=subclass_of(Shape))
     cls = make_dataclass("Sizes", [("how", Annotated[str, Choices(sizes)], "round")], bases=(Settings,), frozen=True)
-    message = r"'radius' is an option of shape 'ball' and a different one of size 'round'\. Choose another name"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(
+        ConfigError, match=r"'radius' is an option of shape 'ball' and a different one of size 'round'\."
+    ):
         with_options({"section": Section, "sizes": cls})
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cloud(Shape, Settings):
-    out: float = 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Veil(Shape, Settings):
-    check: bool = True
-
-
-@dataclass(frozen=True, kw_only=True)
-class Hole(Shape, Settings):
-    depth: float
-
-
-class Crate(Shape):
-    @dataclass(frozen=True, kw_only=True)
-    class Options(Settings):
-        sizes: list[int] | None = None
 
 
 @pytest.mark.parametrize(
     ("cls", "message"),
     [
-        (Cloud, r"option 'out' of .*Cloud has a name that is taken by an argument or a flag\. Choose another name\."),
-        (Veil, r"option 'check' of .*Veil has a name that is taken"),
-        (Hole, r"option 'depth' of .*Hole has no default\. Give it one\."),
-        (Crate, r"Crate\.Options\.sizes has the type list\[int\] \| None, which a setting cannot have\. Use bool"),
+        (shape(out=(float, 1.0)), r"'out' of .*New has a name that is taken by an argument or a flag\. Choose another"),
+        (shape(check=(bool, True)), r"option 'check' of .*New has a name that is taken"),
+        (shape(depth=(float,)), r"option 'depth' of .*New has no default\. Give it one\."),
+        (shape(sizes=(list[int] | None, None)), r"sizes has the type .*, which a setting cannot have\. Use bool"),
     ],
 )
 def test_an_option_that_no_run_could_have_is_refused_at_once(cls, message):

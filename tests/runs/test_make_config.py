@@ -1,62 +1,39 @@
 """Presets: what they start from, by numbers written down by hand."""
 
+import math
+
 import pytest
 
 from shes.envs.registry import ENVIRONMENTS
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.runs.build import build_options
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import PRESET_NAMES
 
 PAPER = {
     # SHES paper, Table I.
-    "population_size": 1000,
-    "episodes_per_policy": 5,
-    "horizon": 500,
-    "controller_interval": 25,
-    "goal_distance": 4.0,
-    "learning_rate": 0.01,
-    "sigma_end": None,
-    "learning_rate_end": None,
-    "sigma": 0.02,
-    "generations": 3000,
+    "population_size": 1000, "episodes_per_policy": 5, "horizon": 500, "controller_interval": 25, "goal_distance": 4.0,
+    "learning_rate": 0.01, "sigma_end": None, "learning_rate_end": None, "sigma": 0.02, "generations": 3000,
     # Where Table I is silent: the authors' code (docs/differences.md).
-    "hidden": (256, 256, 256),
-    "biases": "glorot_normal",
-    "weight_decay": 0.005,
-    "mirrored": "quad",
-    "rank_ties": "index",
-    "common_random_numbers": "off",
-    "statistics_fraction": 0.01,
-    "minimum_goal_distance": True,
-    "goal_encoding": "angle",
-    "controller_output": "vector",
-    "perturbation": "many_to_many",
-    "fitness_shaping": "centred_rank",
-    "optimizer": "adam",
-    "primitive_reward": "progress",
+    "hidden": (256, 256, 256), "biases": "glorot_normal", "weight_decay": 0.005, "mirrored": "quad",
+    "rank_ties": "index", "common_random_numbers": "off", "statistics_fraction": 0.01, "minimum_goal_distance": True,
+    "goal_encoding": "angle", "controller_output": "vector", "perturbation": "many_to_many",
+    "fitness_shaping": "centred_rank", "optimizer": "adam", "primitive_reward": "progress",
     # What makes the ant learn in the other presets is not the paper's (docs/learning.md).
-    "primitive_view": "observation",
-    "controller_view": "observation",
-    "symmetry": "none",
-    "clock_frequency": None,
-    "primitive_estimate": "episode",
-    "output_weights": "glorot_normal",
-    "max_tilt": None,
-    "waypoints": None,
-    "explore": "none",
-    "freeze_primitive": True,
-    "reset_noise": 0.0,
-    "evaluation_episodes": 10,
+    "primitive_view": "observation", "controller_view": "observation", "symmetry": "none", "clock_frequency": None,
+    "primitive_estimate": "episode", "output_weights": "glorot_normal", "max_tilt": None, "waypoints": None,
+    "explore": "none", "freeze_primitive": True, "reset_noise": 0.0, "evaluation_episodes": 10,
     "noise_table_size": 250_000_000,
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("env", ENVIRONMENTS)
-@pytest.mark.parametrize("name", PAPER)
-def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
-    is_pretraining = (name, env) in (("population_size", "ant-flagrun"), ("population_size", "point-flagrun"))
-    assert make_config(env, "paper").values.get(name, PAPER[name]) == (256 if is_pretraining else PAPER[name])
+def test_the_paper_preset_has_the_numbers_of_table_one(env):
+    values = make_config(env, "paper").values
+    expected = {**PAPER, "population_size": 256} if env in ("ant-flagrun", "point-flagrun") else PAPER
+    shared = expected.keys() & values.keys()
+    assert {name: values[name] for name in shared} == {name: expected[name] for name in shared}
+    assert "flagrun" in env or expected.keys() - shared <= {"max_tilt", "waypoints"}
 
 
 def test_the_paper_preset_evaluates_as_it_trains():
@@ -97,17 +74,16 @@ def test_a_preset_of_hiro_brings_its_algorithm():
 
 def test_the_presets_of_hiro_have_the_published_numbers():
     config = make_config("ant-maze", "hiro-paper")
-    learner, goals = config.learner, config.goals
-    assert (learner.hidden, learner.batch_size, learner.replay_size) == ((300, 300), 100, 200_000)
-    assert (learner.actor_learning_rate, learner.critic_learning_rate) == (1e-4, 1e-3)
-    assert (learner.discount, learner.target_rate, learner.policy_delay) == (0.99, 0.005, 2)
-    assert (learner.exploration_noise, goals.goal_noise, learner.noise_unit) == (1.0, 1.0, "raw")
-    assert (goals.controller_interval, goals.goal_distance, learner.reward_scale) == (10, 10.0, 0.1)
-    assert (config.environment.spec, config.episodes.horizon, config.run.env_steps) == ("hiro", 500, 10_000_000)
-    assert (learner.normalise_inputs, learner.bootstrap_terminal) == (False, False)
-    assert (learner.update_interval, goals.controller_update_interval, learner.warmup_steps) == (1, 10, 2500)
-    assert learner.generation_steps * config.evaluation.evaluation_interval == 50_000
-    assert config.evaluation.evaluation_episodes == 50
+    published = {
+        "hidden": (300, 300), "batch_size": 100, "replay_size": 200_000, "actor_learning_rate": 1e-4,
+        "critic_learning_rate": 1e-3, "discount": 0.99, "target_rate": 0.005, "policy_delay": 2,
+        "exploration_noise": 1.0, "goal_noise": 1.0, "noise_unit": "raw", "controller_interval": 10,
+        "goal_distance": 10.0, "reward_scale": 0.1, "spec": "hiro", "horizon": 500, "env_steps": 10_000_000,
+        "normalise_inputs": False, "bootstrap_terminal": False, "update_interval": 1,
+        "controller_update_interval": 10, "warmup_steps": 2500, "evaluation_episodes": 50,
+    }  # fmt: skip
+    assert config.values.items() >= published.items()
+    assert config.learner.generation_steps * config.evaluation.evaluation_interval == 50_000
     assert make_config("point-maze", "hiro-paper").learner.exploration_noise == 0.1
     table = make_config("ant-maze", "hiro-table1")
     assert (table.learner.actor_learning_rate, table.environment.spec) == (0.001, "shes")
@@ -122,33 +98,17 @@ def test_the_presets_of_hiro_fit_a_small_maze(preset):
     assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
 
 
-def test_the_presets_are_those_of_the_design():
-    assert set(PRESET_NAMES) == {"paper", "laptop", "smoke", "hiro-paper", "hiro-table1"}
-
-
 def test_the_smoke_preset_is_small():
-    config = make_config("ant-gather", "smoke")
-    steps = (
-        config.run.generations
-        * config.evolution.population_size
-        * config.evolution.episodes_per_policy
-        * config.episodes.horizon
-    )
-    assert steps <= 10_000
-    assert config.evolution.noise_table_size <= 1_000_000
+    values = make_config("ant-gather", "smoke").values
+    factors = ("generations", "population_size", "episodes_per_policy", "horizon")
+    assert math.prod(values[name] for name in factors) <= 10_000
+    assert values["noise_table_size"] <= 1_000_000
 
 
 def test_overrides_win_over_the_preset():
     config = make_config("point-gather", "paper", {"sigma": 0.5, "hidden": [8]})
     assert (config.evolution.sigma, config.networks.hidden, config.evolution.population_size) == (0.5, (8,), 1000)
     assert make_config("point-gather", "smoke", {"hidden": 8}).networks.hidden == (8,)
-
-
-def test_wrong_names_are_refused():
-    with pytest.raises(UnknownNameError, match=r"unknown preset 'papper'\. Did you mean 'paper'\?.*Set --preset"):
-        make_config("ant-gather", "papper")
-    with pytest.raises(ConfigError, match=r"unknown setting 'lerning_rate'\. Did you mean 'learning_rate'\?"):
-        make_config("ant-gather", "smoke", {"lerning_rate": 1})
 
 
 OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
@@ -168,6 +128,10 @@ IDLE = {
         "ant-gather", {"freeze_primitive": False},
         r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive",
         {"primitive": "ant-walker"},
+    ),
+    "primitive_checkpoint": (
+        "point-gather", {"primitive_checkpoint": "last"}, "has no effect with primitive None.*omit --primitive-checkpoint",
+        None,
     ),
     "explore_horizon": (
         "ant-maze", {"explore": "none", "explore_horizon": 900},
