@@ -157,23 +157,21 @@ def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
 
 
 def test_info_shows_what_a_run_is(shes, tiny_run):
-    text = shes("info", tiny_run)
-    assert re.search(r"env +│ point-gather", text)
-    assert re.search(r"state +│ finished", text)
+    text = shes("info", tiny_run, "--full")
+    for row in (r"env +│ point-gather", r"state +│ finished", r"sigma +│ 0\.070"):
+        assert re.search(row, text)
     assert "problem" not in text
-    assert re.search(r"sigma +│ 0\.070", shes("info", tiny_run, "--full"))
+    assert "sigma" not in shes("info", tiny_run)
     assert json.loads(shes("info", tiny_run, "--json"))["config"]["evolution"]["sigma"] == 0.07
 
 
 def test_info_shows_how_a_shipped_agent_was_trained(shes, agent):
-    told = read_agent(agent)
-    text = shes("info", agent)
+    told, text = read_agent(agent), shes("info", agent)
     assert f"{told.evaluation.score} over {told.evaluation.episodes} fresh episodes" in text
     for other in (told.evaluation.constant, told.evaluation.random):
         assert re.search(rf"score, {other.controller} +│ {other.score} ", text)
     assert f"Trained by:\n{told.commands[0]}\n" in text
-    found = json.loads(shes("info", agent, "--json"))
-    assert {**found, **told.to_dict()} == found
+    assert json.loads(shes("info", agent, "--json")).items() >= told.to_dict().items()
 
 
 def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
@@ -182,9 +180,10 @@ def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
     )
     assert one == {**other, "run": agent}
     assert shes("plot", agent) == "Learning curves: curves.png\n"
+    assert shes("plot", agent, tiny_run, "--out", "b.pdf", "--x", "generation") == "Learning curves: b.pdf\n"
     shes("train", "point-gather", *TINY, "--primitive-hidden", 4, "--primitive", agent, "--out", "run")
     assert RunFolder.open("run").read_config().transfer.primitive == agent
-    assert {path.name for path in Path().iterdir()} == {"curves.png", "run"}
+    assert {path.name for path in Path().iterdir()} == {"curves.png", "b.pdf", "run"}
 
 
 NO_RUNS = {
@@ -221,29 +220,16 @@ def test_train_makes_a_folder_below_runs_if_none_is_named(shes, tmp_path, monkey
     assert path.name.startswith("point-gather-smoke-seed5-")
 
 
-def test_values_are_written_in_several_ways(shes, tmp_path):
-    path = tmp_path / "run"
-    words = ["--preset=smoke", "--population_size", "4", "point-gather", "--hidden", "4", "3", "--sigma=0.5"]
-    none = ["--evaluation-horizon", "none", "--no-minimum-goal-distance", "--weight-decay=0", "--backend", "serial"]
-    shes("train", *words, *none, "--workers=2", "--horizon", 5, "--generations=1", f"--out={path}")
-    values = RunFolder.open(path).read_config().values
-    assert values.items() >= {
-        "env": "point-gather", "preset": "smoke", "population_size": 4, "hidden": (4, 3), "sigma": 0.5,
-        "evaluation_horizon": None, "minimum_goal_distance": False, "weight_decay": 0, "num_workers": 2,
-    }.items()  # fmt: skip
-    shes("resume", path, "--workers", "3", "--generations", "2")
-    assert RunFolder.open(path).read_config().workers.num_workers == 3
-
-
 @pytest.mark.parametrize(
     ("ended", "more", "generation"),
-    [(["--minutes", "1e-6"], [], 0), (["--generations", 2], ["--generations", 4], 2)],
+    [(["--minutes", "1e-6"], [], 0), (["--generations", 2], ["--generations", 4, "--workers", 3], 2)],
 )
 def test_resume_goes_on_where_a_run_ended(shes, tmp_path, tiny_run, ended, more, generation):
     path = tmp_path / "run"
     assert f"Done: {generation} generations" in shes("train", "point-gather", *TINY, *ended, "--out", path)
     text = shes("resume", path, *more)
     assert ("after generation 2. Run folder" in text) is (generation == 2)
+    assert RunFolder.open(path).read_config().workers.num_workers == (3 if more else 0)
     assert "Done: 4 generations" in text
     assert runs.differences(tiny_run, path) == []
 
@@ -255,13 +241,6 @@ def test_evaluate_prints_a_table_or_json(shes, tiny_run):
     found = json.loads(line)
     assert (found["run"], found["checkpoint"], found["episodes"]) == (str(tiny_run), "last", 3)
     assert {"score_mean", "score_std", "return_mean", "success_rate"} <= set(found)
-
-
-def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert shes("plot", tiny_run) == "Learning curves: curves.png\n"
-    assert shes("plot", tiny_run, tiny_run, "--out", "b.pdf", "--x", "generation") == "Learning curves: b.pdf\n"
-    assert {path.name for path in tmp_path.iterdir()} == {"curves.png", "b.pdf"}
 
 
 # Ctrl-C.
@@ -288,28 +267,21 @@ def test_ctrl_c_says_how_to_go_on_if_there_is_a_run(capsys, tmp_path, tiny_run, 
 
 
 HANDED_ON = {
-    "render": (
-        ["--checkpoint", "0", "last", "--out=x.mp4", "a run", "b", "--camera", "top", "--episode", 3, "--seed", 7,
-         "--size", 240, "--steps", 50, "--out", "b.mp4", "--speed", 2, "--sensors"],
-        {"runs": ("a run", "b"), "checkpoints": ("0", "last"), "camera": "top", "episode": 3,
-         "seed": 7, "size": 240, "steps": 50, "speed": 2.0, "sensors": True, "out": "b.mp4"},
-    ),
-    "watch": (
-        ["a run", "--checkpoint", "12", "--seed", 3],
-        {"run": "a run", "checkpoint": "12", "seed": 3},
-    ),
-    "report": (
-        ["a run", "b", "--out", "a.html", "--episodes", 7, "--seed", 3, "--workers", 2,
-         "--no-video"],
-        {"runs": ("a run", "b"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False,
-         "out": "a.html"},
-    ),
+    "render --checkpoint 0 last --out=x.mp4 run b --camera top --episode 3 --seed 7 --size 240 --steps 50 --out b.mp4 "
+    "--speed 2 --sensors": {
+        "runs": ("run", "b"), "checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240,
+        "steps": 50, "speed": 2.0, "sensors": True, "out": "b.mp4",
+    },
+    "watch run --checkpoint 12 --seed 3": {"run": "run", "checkpoint": "12", "seed": 3},
+    "report run b --out a.html --episodes 7 --seed 3 --workers 2 --no-video": {
+        "runs": ("run", "b"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False, "out": "a.html",
+    },
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", HANDED_ON)
-def test_a_command_hands_on_its_flags(monkeypatch, command):
-    words, expected = HANDED_ON[command]
+@pytest.mark.parametrize("line", HANDED_ON)
+def test_a_command_hands_on_its_flags(monkeypatch, line):
+    command = line.split()[0]
     function, given = find_command(command), []
 
     @wraps(function)
@@ -318,8 +290,8 @@ def test_a_command_hands_on_its_flags(monkeypatch, command):
         given.append(values)
 
     monkeypatch.setattr(sys.modules[function.__module__], command, fake)
-    assert main([command, *map(str, words)]) == 0
-    assert given == [expected]
+    assert main(line.split()) == 0
+    assert given == [HANDED_ON[line]]
 
 
 # Modules of the user.
@@ -361,21 +333,21 @@ def test_an_environment_of_an_imported_module_can_be_used_like_any_other(shes, t
     assert json.loads(shes("evaluate", path, "--episodes", 2, "--workers", 1, "--json", "--import", name))
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("raise ValueError('not today')", r"--import NAME: the module failed: ValueError: not today\."),
-        ("import there_is_none", r"the module failed: ModuleNotFoundError: No module named 'there_is_none'"),
-        ("import sys; sys.exit('bye')", r"the module failed: SystemExit: bye\."),
-        (OWN.replace("point-own", "Point Own"), r"the module failed: ConfigError: .*'Point Own'"),
-    ],
-)
-def test_a_module_that_fails_is_an_error_that_names_it(capsys, own_module, content, message):
+FAILING = {
+    "raise ValueError('not today')": r"--import NAME: the module failed: ValueError: not today\.",
+    "import there_is_none": r"the module failed: ModuleNotFoundError: No module named 'there_is_none'",
+    "import sys; sys.exit('bye')": r"the module failed: SystemExit: bye\.",
+    OWN.replace("point-own", "Point Own"): r"the module failed: ConfigError: .*'Point Own'",
+}
+
+
+@pytest.mark.parametrize("content", FAILING)
+def test_a_module_that_fails_is_an_error_that_names_it(capsys, own_module, content):
     name = own_module(content)
     assert main(["envs", "--import", name]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert re.search(message.replace("NAME", name), err)
+    assert re.search(FAILING[content].replace("NAME", name), err)
     with pytest.raises(ConfigError) as error:
         main(["envs", "--import", name, "--debug"])
     assert error.value.__cause__ is not None

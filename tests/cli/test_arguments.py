@@ -17,7 +17,6 @@ GIVEN = {"compare": ("no-run", "no-other")}
     [
         ("compare", "episodes", [1], "a whole number of at least 2"),
         ("evaluate", "episodes", [0], "a whole number of at least 1"),
-        ("evaluate", "num_workers", [-1], "a whole number of at least 0"),
         ("report", "episodes", [0], "a whole number of at least 1"),
         ("report", "num_workers", [-1], "a whole number of at least 0"),
         ("render", "episode", [-1, 100_000], "a whole number of at least 0 and less than 100000"),

@@ -26,32 +26,26 @@ def flat(monkeypatch):
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])
-def test_drawing_shows_its_progress_in_a_terminal_and_names_its_files(run_copy, tmp_path, is_terminal):
-    out = io.StringIO()
+def test_both_agents_are_drawn_in_the_same_episode_with_progress(monkeypatch, run_copy, tmp_path, is_terminal):
+    seeds, captions, out = [], [], io.StringIO()
+    monkeypatch.setattr("shes.viewing.render.captioned", lambda view, parts: captions.append(parts[0]) or view)
+    monkeypatch.setattr(Playback, "play", lambda self, seed, play=Playback.play: seeds.append(seed) or play(self, seed))
     console = Console(file=out, force_terminal=is_terminal, width=200)
-    _draw(console, run_copy, tmp_path / "walking.mp4", episode=1, camera="follow", steps=2)
+    _draw(console, run_copy, tmp_path / "walking.mp4", episode=2, camera="top", steps=2)
+    assert seeds == [evaluation_seeds(demo._SEED, 0, 3, Purpose.FRESH_EPISODES)[2]] * 2
+    last = [facts for facts in captions if "time is up" in facts]
+    assert {(facts[0], "score" in facts[2]) for facts in last} == {("untrained", True), ("after 1 generation", True)}
     assert ("100%" in out.getvalue()) == is_terminal
     assert f"walking: {tmp_path / 'walking.mp4'}   curves: {run_copy / 'curves.png'}" in out.getvalue()
     assert (tmp_path / "walking.mp4").stat().st_size > 0
 
 
-def test_the_episode_of_the_video_is_the_one_whose_result_is_nearest_to_the_printed_mean(monkeypatch, tmp_path):
+def test_the_video_is_of_the_episode_nearest_to_the_printed_mean(monkeypatch, tmp_path):
     found = {"0": np.zeros(4), "best": np.array([9.0, 0.0, 6.0, 4.0])}
     monkeypatch.setattr(demo.shes, "evaluate", lambda *_, checkpoint, **__: found[checkpoint])
     out = io.StringIO()
     assert _show(Console(file=out, width=200), tmp_path, "score", lambda results: results) == 3
     assert "0.00 before training, 4.75 after" in out.getvalue()
-
-
-def test_both_agents_are_drawn_in_the_evaluated_episode_with_their_scores(monkeypatch, run_copy, tmp_path):
-    found, captions = [], []
-    monkeypatch.setattr("shes.viewing.render.captioned", lambda view, parts: captions.append(parts[0]) or view)
-    monkeypatch.setattr(Playback, "play", lambda self, seed, play=Playback.play: found.append(seed) or play(self, seed))
-    _draw(Console(file=io.StringIO()), run_copy, tmp_path / "walking.mp4", episode=2, camera="top", steps=2)
-    assert found == [evaluation_seeds(demo._SEED, 0, 3, Purpose.FRESH_EPISODES)[2]] * 2
-    last = [facts for facts in captions if "time is up" in facts]
-    assert {facts[0] for facts in last} == {"untrained", "after 1 generation"}
-    assert all("score" in facts[2] for facts in last)
 
 
 @pytest.mark.parametrize(("is_begun", "text"), [(False, "Stopped before the first run."), (True, "are in runs/demo-")])

@@ -222,11 +222,12 @@ def test_a_checkpoint_of_another_run_is_refused(refused, run_copy, tmp_path):
     refused("evaluate", run_copy, message=f"best{message}")
 
 
-def test_an_absent_checkpoint_is_refused_by_naming_those_there_are(refused, run_copy):
+def test_evaluate_names_its_flags_and_the_checkpoints_there_are(refused, run_copy):
     there = r"best, generation_000000, generation_000002, generation_000004, last\. Choose one with --checkpoint"
     message = rf"there is no checkpoint .*generation_000077\.npz\. There are: {there}"
     refused("evaluate", run_copy, "--checkpoint", "77", message=message)
     refused("evaluate", run_copy, "--checkpoint", "../x", message="there is no checkpoint")
+    refused("evaluate", run_copy, "--workers", "-1", message=r"num_workers must be .*got -1\. Set --workers")
     (run_copy / "checkpoints" / "last.npz").unlink()
     refused("resume", run_copy, message=r"there is no checkpoint .*last\.npz\. .*copy it to last\.npz")
 

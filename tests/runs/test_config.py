@@ -3,11 +3,10 @@
 import copy
 import json
 import pickle
-from dataclasses import dataclass, make_dataclass
+from dataclasses import make_dataclass
 from typing import Annotated, ClassVar
 
 import gymnasium
-import numpy as np
 import pytest
 
 import shes
@@ -55,9 +54,8 @@ def test_a_setting_is_found_by_section_and_by_name():
 )
 def test_sections_are_those_of_the_algorithm(env, algorithm, sections):
     config = TrainConfig.of(env=env, algorithm=algorithm)
-    assert (
-        list(config.sections) == list(config.to_dict()) == [*sections.split(), "environment", "episodes", "evaluation"]
-    )
+    expected = [*sections.split(), "environment", "episodes", "evaluation"]
+    assert list(config.sections) == list(config.to_dict()) == expected
     for section in {"exploration", "hierarchy"} - config.sections.keys():
         with pytest.raises(AttributeError, match=f"no section of settings '{section}' here; it has run, "):
             getattr(config, section)
@@ -75,13 +73,6 @@ def test_settings_that_never_change_numbers_are_marked():
 
 def test_a_run_has_at_most_as_many_settings_as_can_be_read():
     assert len(TrainConfig.of(env="ant-gather").values) <= 65
-
-
-def test_every_number_has_a_range():
-    for name, setting in known_settings().items():
-        if setting.item in (int, float):
-            with pytest.raises(ConfigError, match=rf"^{name} must be .*, got .*Set {setting.flag}\.$"):
-                setting.checked((-2000,) if setting.kind is tuple else -1)
 
 
 REFUSED = [
@@ -155,12 +146,6 @@ def test_no_layers_are_not_the_same_as_none():
         assert [policy.sizes[1:-1] for policy in algorithm.design.policies] == [(3,), layers]
 
 
-def test_numbers_of_numpy_become_numbers_of_python():
-    config = make(seed=np.int64(3), sigma=np.float32(0.5), hidden=[np.int32(4)], freeze_primitive=np.bool_(False))
-    assert config == make(seed=3, sigma=0.5, hidden=(4,), freeze_primitive=False)
-    assert type(config.evolution.sigma) is float
-
-
 def test_settings_cannot_be_changed():
     for target, name in ((make(), "evolution"), (make(), "run"), (make().evolution, "sigma")):
         with pytest.raises(AttributeError):
@@ -178,7 +163,6 @@ def record(env="point-gather", **changes):
 
 
 RECORDS = [
-    ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma'\. Did you mean 'sigma'\?"),
     ({"workers": {"sigma": 0.07}}, r"unknown setting 'sigma' in section 'workers'"),
     ({"attic": {}}, r"a run of point-gather has no section of settings 'attic'"),
     ({"evolution": 1}, r"'evolution' must be an object of settings, got 1"),
@@ -214,28 +198,18 @@ def test_workers_are_all_cores_unless_said(monkeypatch):
 # Options of tasks and bodies from outside.
 
 
-@dataclass(frozen=True, kw_only=True)
-class CornerOptions(TaskOptions):
-    """Options of a task of a user's own."""
-
-    corner_m: Annotated[float, Gt(1)] = 2.0
-    """Where the corner is."""
+def options_of(base, **fields):
+    """Return settings of these fields: name=(type, default)."""
+    found = [(name, *each) for name, each in fields.items()]
+    return make_dataclass(f"Own_{'_'.join(fields)}", found, bases=(base,), frozen=True, kw_only=True)
 
 
 class OwnCorner(own_classes.Corner):
-    Options: ClassVar[type[CornerOptions]] = CornerOptions
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeavyOptions(Settings):
-    """Options of a body of a user's own."""
-
-    load_kg: Annotated[float, Gt(0)] = 1.0
-    """What it carries."""
+    Options: ClassVar[type[TaskOptions]] = options_of(TaskOptions, corner_m=(Annotated[float, Gt(1)], 2.0))
 
 
 class HeavyPoint(Point):
-    Options: ClassVar[type[HeavyOptions]] = HeavyOptions
+    Options: ClassVar[type[Settings]] = options_of(Settings, load_kg=(Annotated[float, Gt(0)], 1.0))
 
 
 def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tmp_path):
@@ -274,8 +248,7 @@ SHARED = Annotated[int, Gt(0), Shared()]
     ],
 )
 def test_a_task_has_no_option_with_the_name_of_another_setting(monkeypatch, name, kind, default, message):
-    options = make_dataclass("OwnOptions", [(name, kind, default)], bases=(TaskOptions,), frozen=True, kw_only=True)
-    task = type("OwnTask", (own_classes.Corner,), {"Options": options})
+    task = type("OwnTask", (own_classes.Corner,), {"Options": options_of(TaskOptions, **{name: (kind, default)})})
     monkeypatch.setitem(ENVIRONMENTS, "point-mypush", Environment(Point, task))
     with pytest.raises(ConfigError, match=f"'{name}' {message}"):
         make_config("point-mypush", "smoke", {})
