@@ -13,11 +13,11 @@ import numpy as np
 import psutil
 import pytest
 
-from shes.rollout import worker
 from shes.es.level import LevelState, LevelUpdate, UpdateRule, update_level
 from shes.es.noise import NoiseTable
 from shes.evolution import way_search
 from shes.evolution.state import TrainState
+from shes.rollout import worker
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.exploration import Exploration
 from shes.rollout.lockstep import Rollout
@@ -137,7 +137,7 @@ def recording() -> Iterator[Record]:
         return noises
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("shes.runs.sections.num_cores", lambda: 1)
+        patch.setattr("shes.runs.run_settings.num_cores", lambda: 1)
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)

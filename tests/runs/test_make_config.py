@@ -2,7 +2,7 @@
 
 import pytest
 
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.build import build_options
 from shes.runs.make_config import make_config
