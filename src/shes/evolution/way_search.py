@@ -69,7 +69,7 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
     generation = Generation(
-        levels=LevelParameters.of_all((state.levels[len(state.levels) - 1],)),
+        levels=LevelParameters.of_all([state.levels[-1]]),
         sigma=0.0,
         episodes_per_policy=1,
         is_evaluation=False,
