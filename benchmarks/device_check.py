@@ -13,15 +13,15 @@ from statistics import NormalDist
 import numpy as np
 from scipy import stats
 
-from shes.envs.registry import find_environment
+from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import SimulatorFactory
-from shes.es.streams import Purpose, stream
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
+from shes.streams import Purpose, stream
 from shes.types import F64Array
 
 ALPHA = 0.001

@@ -18,7 +18,7 @@ import numpy as np
 from run import LAPTOP, SECONDS, bench, write_csv
 
 import shes  # noqa: F401 - registers the environments
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 
 NUM_ENVS = 64

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
-from shes.envs.registry import ENVIRONMENTS, find_environment
+from shes.envs.named_environments import ENVIRONMENTS, find_environment
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.tasks.task_options import TaskOptions
 from shes.evolution.algorithm import evolve

@@ -19,7 +19,7 @@ import shes
 from shes.algorithms.contract import PRESETS
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS

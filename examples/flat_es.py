@@ -7,8 +7,8 @@ is the library by hand; `shes train point-gather --algorithm es` adds workers, c
 import numpy as np
 
 from shes.agents.mlp import MLP
+from shes.envs.named_environments import make_task
 from shes.envs.observation_spec import bounds
-from shes.envs.registry import make_task
 from shes.envs.tasks.task import Task
 from shes.es import EvolutionStrategy
 

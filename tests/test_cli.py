@@ -20,7 +20,7 @@ from experiments.ship import ship
 from shes.cli import main
 from shes.cli.command_table import find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError
 from shes.runs import shipped
 from shes.runs.folder import RunFolder
@@ -316,7 +316,7 @@ def own_module(tmp_path, monkeypatch):
 OWN = """
 from shes.envs.tasks.gather import Gather
 from shes.envs.bodies.point import Point
-from shes.envs.registry import register_environment
+from shes.envs.named_environments import register_environment
 
 register_environment("point-own", Point, Gather)
 """

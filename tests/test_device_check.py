@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.device_check import ALPHA, POWER, compare_with_cpu, detectable_shift
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator

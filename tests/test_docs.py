@@ -19,10 +19,10 @@ import shes
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.runs.make_config import make_config
-from shes.runs.sections import known_settings
+from shes.runs.run_settings import known_settings
 from shes.settings import flag, setting_fields
 from tests.browser import find_browser, layout_faults
 

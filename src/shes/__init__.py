@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from shes.agents.goals import register_goal_encoding
     from shes.agents.outputs import register_controller_output
     from shes.agents.rewards import register_primitive_reward
-    from shes.envs.registry import register_environment, register_external
+    from shes.envs.named_environments import register_environment, register_external
     from shes.runs.evaluate import Evaluation, evaluate
     from shes.runs.export import export
     from shes.runs.listeners import StopTraining
@@ -69,8 +69,8 @@ _HOMES = {
     "plot": "shes.viewing.plot",
     "register_algorithm": "shes.runs.named_algorithms",
     "register_controller_output": "shes.agents.outputs",
-    "register_environment": "shes.envs.registry",
-    "register_external": "shes.envs.registry",
+    "register_environment": "shes.envs.named_environments",
+    "register_external": "shes.envs.named_environments",
     "register_goal_encoding": "shes.agents.goals",
     "register_primitive_reward": "shes.agents.rewards",
     "render": "shes.viewing.render",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shes.baselines.collector import Actor
-from shes.envs.registry import find_environment, make_task, register_external
+from shes.envs.named_environments import find_environment, make_task, register_external
 from shes.errors import ConfigError, DivergenceError
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

@@ -11,8 +11,8 @@ from rich.console import Console
 from shes.cli import demo
 from shes.cli.demo import _draw, _show
 from shes.drawing import make_drawer
-from shes.es.streams import Purpose
 from shes.runs.evaluate import evaluation_seeds
+from shes.streams import Purpose
 from shes.viewing.playback import Playback
 
 

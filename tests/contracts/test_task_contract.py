@@ -1,4 +1,4 @@
-"""The contract of tasks, over `shes.envs.registry.ENVIRONMENTS` with every specification, later tasks included.
+"""The contract of tasks, over `ENVIRONMENTS` with every specification, later tasks included.
 
 `view` is everything that a caller can see of a task. Equality is bit-identity.
 """

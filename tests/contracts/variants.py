@@ -6,7 +6,7 @@ import gymnasium
 import pytest
 
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
+from shes.envs.named_environments import ENVIRONMENTS, find_environment, make_task
 
 
 class Variant(NamedTuple):

@@ -11,7 +11,7 @@ from shes.drawing.flat_renderer import FlatRenderer
 from shes.drawing.make_drawer import make_renderer
 from shes.drawing.renderer import outlines
 from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.errors import ConfigError, UnknownNameError
 
 SIZE = 780

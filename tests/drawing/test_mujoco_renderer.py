@@ -10,7 +10,7 @@ from shes.drawing.make_drawer import find_opengl
 from shes.drawing.mujoco_renderer import FOLLOW_FIELD_OF_VIEW_DEG, MujocoRenderer, decorate, follow
 from shes.drawing.renderer import between, extent_of
 from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS, make_task
 
 SIZE = 200
 PLACES = [

@@ -8,7 +8,7 @@ import pytest
 from shes.drawing import make_drawer
 from shes.drawing.flat_renderer import FlatRenderer
 from shes.drawing.make_drawer import make_renderer
-from shes.envs.registry import make_task
+from shes.envs.named_environments import make_task
 from shes.errors import ConfigError
 
 

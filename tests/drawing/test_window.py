@@ -12,7 +12,7 @@ import pytest
 
 from shes.drawing.window import Viewer
 from shes.envs.markers import FOOD, ball
-from shes.envs.registry import make_task
+from shes.envs.named_environments import make_task
 from shes.errors import ConfigError
 
 

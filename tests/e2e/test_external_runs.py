@@ -16,9 +16,9 @@ import shes
 from shes.cli import main
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.errors import ConfigError, ShesError
-from shes.es.streams import Purpose
 from shes.runs.evaluate import evaluation_seeds
 from shes.runs.make_config import make_config
+from shes.streams import Purpose
 from shes.viewing.render import render
 from shes.viewing.watch import watch
 from tests.e2e import runs

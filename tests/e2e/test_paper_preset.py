@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from tests.e2e import runs
 
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.envs.bodies.ant import Ant
-from shes.envs.registry import make_task
+from shes.envs.named_environments import make_task
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.task_options import TaskOptions
 from tests.envs.compare_models import model_differences

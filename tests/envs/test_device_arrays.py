@@ -7,7 +7,7 @@ refuses.
 import numpy as np
 import pytest
 
-from shes.envs.registry import make_task
+from shes.envs.named_environments import make_task
 from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
 from tests.contracts.variants import VARIANTS

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from shes.envs.bodies.point import DAMPING, GEAR_N
-from shes.envs.registry import make_task
+from shes.envs.named_environments import make_task
 from shes.envs.worlds import CELL_SIZE_M
 from tests.envs.reference_worlds import FALL, world_xml
 

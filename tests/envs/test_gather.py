@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.envs.markers import POISON as POISON_COLOR
-from shes.envs.registry import make_task
+from shes.envs.named_environments import make_task
 from shes.envs.tasks.task_options import FallOptions
 
 FAR_AWAY = 1000.0

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
+from shes.envs.named_environments import ENVIRONMENTS, find_environment, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.worlds import INTEGRATORS
 from shes.sim.cpu import CpuSimulator

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.errors import ConfigError
 
 STANDING, LYING = (1, 0, 0, 0), (0, 1, 0, 0)

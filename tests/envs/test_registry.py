@@ -9,7 +9,7 @@ from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import SPECS_OF
-from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.task import Task
 from shes.envs.tasks.task_options import TaskOptions

@@ -7,7 +7,7 @@ point continues with the next.
 import numpy as np
 import pytest
 
-from shes.envs.registry import find_environment, make_task
+from shes.envs.named_environments import find_environment, make_task
 from shes.envs.worlds import INTEGRATORS
 
 NEVER = 10_000

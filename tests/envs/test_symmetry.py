@@ -20,7 +20,7 @@ from shes.agents.mlp import MLP
 from shes.agents.rewards import ProgressReward
 from shes.agents.views import EgocentricView
 from shes.envs.bodies.ant import Ant
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.worlds import empty_world
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics

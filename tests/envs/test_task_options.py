@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import shes  # registers
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun, FlagrunOptions
 from shes.envs.tasks.gather import Gather

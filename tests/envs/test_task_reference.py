@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.bodies.point import DAMPING, GEAR_N
-from shes.envs.registry import find_environment, make_task
+from shes.envs.named_environments import find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts import variants

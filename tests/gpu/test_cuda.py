@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.host_arrays import to_host

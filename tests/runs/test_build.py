@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shes.envs.bodies.point import Point
-from shes.envs.registry import ENVIRONMENTS, Environment
+from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

@@ -15,14 +15,14 @@ from shes.agents.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
-from shes.envs.registry import ENVIRONMENTS, Environment
+from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_task
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
-from shes.runs.sections import WorkerSettings, execution_settings, known_settings
+from shes.runs.run_settings import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, Shared, flag
 from tests.e2e import own_classes, runs
 

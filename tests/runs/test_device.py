@@ -27,7 +27,7 @@ from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.provenance import provenance
-from shes.runs.sections import WorkerSettings, execution_settings
+from shes.runs.run_settings import WorkerSettings, execution_settings
 from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES

@@ -11,11 +11,11 @@ import pytest
 from shes.agents.goal_agent import GoalAgent
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
-from shes.es.streams import Purpose
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
+from shes.streams import Purpose
 from tests.e2e import runs
 from tests.runs.recorder import recording
 

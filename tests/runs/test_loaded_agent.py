@@ -10,11 +10,11 @@ import pytest
 
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.errors import CheckpointError, ConfigError, PolicyError, ShapeError
-from shes.es.streams import Purpose
 from shes.runs.build import build_task
 from shes.runs.evaluate import evaluate, evaluation_seeds
 from shes.runs.folder import RunFolder
 from shes.runs.loaded_agent import load
+from shes.streams import Purpose
 from tests.e2e import runs
 
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError
 from shes.runs.build import build_options
 from shes.runs.make_config import make_config

@@ -15,13 +15,13 @@ import pytest
 from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
-from shes.es.streams import Purpose, stream
 from shes.evolution.estimates import draw_pairs
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.sections import known_settings
+from shes.runs.run_settings import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
+from shes.streams import Purpose, stream
 from tests.e2e import runs
 from tests.runs.built import INTERVALS
 from tests.runs.recorder import record_generations, recording

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator

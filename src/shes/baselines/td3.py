@@ -30,10 +30,10 @@ from shes.baselines.replay import Replay
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
-from shes.es.streams import Purpose, stream
 from shes.machine import free_memory
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
+from shes.streams import Purpose, stream
 
 LEARNING = "shes.baselines.learning"
 """The module that learns with JAX, which is imported when learning begins."""

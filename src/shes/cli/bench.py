@@ -16,7 +16,7 @@ import numpy as np
 
 from shes.backends.serial import SerialBackend
 from shes.checked import checked
-from shes.envs.registry import find_environment
+from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
 from shes.evolution.algorithm import evolve, roll_out

@@ -13,8 +13,8 @@ from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs import train as run_training
 from shes.runs.folder import new_folder
+from shes.runs.run_settings import RunSettings
 from shes.runs.runs_folder import RunsFolder, read_sweep, vary
-from shes.runs.sections import RunSettings
 from shes.runs.train import Run
 
 

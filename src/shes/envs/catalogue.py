@@ -7,7 +7,7 @@ from typing import Any
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, Environment, make_task
+from shes.envs.named_environments import ENVIRONMENTS, Environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ShesError
 from shes.listing import Listing, Table

@@ -19,8 +19,8 @@ from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.perturbation import group_weights
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
-from shes.es.streams import Purpose, stream
 from shes.settings import Ge
+from shes.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
 
 

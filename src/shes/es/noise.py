@@ -27,6 +27,7 @@ from shes.host_arrays import to_host
 from shes.machine import free_disk, free_memory
 from shes.settings import Ge, Shown
 from shes.storage import remove_abandoned, storage_errors, write_atomically
+from shes.streams import table_stream
 from shes.types import F32Array, IntArray
 
 NOISE_SEED = 123
@@ -69,8 +70,7 @@ def _one_process_at_a_time(folder: Path) -> Generator[None]:
 
 
 def _block(seed: int, number: int, length: int) -> F32Array:
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(number,))))
-    return rng.standard_normal(length, dtype=np.float32)
+    return table_stream(seed, number).standard_normal(length, dtype=np.float32)
 
 
 def _path(size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> Path:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.agents.views import PRIMITIVE_VIEWS
-from shes.envs.registry import find_environment
+from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.es.perturbation import PERTURBATIONS, sign_matrix
+from shes.evolution.evolution_settings import HierarchySettings
 from shes.evolution.hyperparameters import by_episodes, explores, is_alone, is_branched, learns
-from shes.evolution.sections import HierarchySettings
 from shes.settings import flag, out_of_range, setting_fields
 
 _WHOLE_GROUPS = 48

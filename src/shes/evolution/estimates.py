@@ -21,11 +21,11 @@ import numpy as np
 from shes.es.level import LevelParameters, UpdateRule, draw_noise_index, select_fitness
 from shes.es.perturbation import ManyToMany, Perturbation, Signs
 from shes.es.schedules import Schedule
-from shes.es.streams import Purpose, stream
 from shes.evolution.state import RunningEpisodes, TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
 from shes.rollout.results import PopulationResults
+from shes.streams import Purpose, stream
 from shes.types import F64Array, IntArray
 
 _ENOUGH_ROWS = 3

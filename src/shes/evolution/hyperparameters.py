@@ -14,13 +14,13 @@ from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import Schedule
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
-from shes.es.streams import Purpose, stream
 from shes.evolution.archive import Archive
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate
-from shes.evolution.sections import HierarchySettings
+from shes.evolution.evolution_settings import HierarchySettings
 from shes.evolution.state import TrainState
 from shes.evolution.way_search import SLICES, WaySearch
 from shes.options import make
+from shes.streams import Purpose, stream
 
 
 def learns(settings: Any) -> tuple[bool, ...]:

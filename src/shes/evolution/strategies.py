@@ -23,10 +23,10 @@ from shes.evolution.designs import (
     flat_design,
     goal_design,
 )
+from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_SECTIONS, SHES_SECTIONS
 from shes.evolution.hyperparameters import make_hyperparameters, make_state, population, steps_per_generation
 from shes.evolution.level_transfers import PRIMITIVE_TRANSFER, SHES_TRANSFERS
 from shes.evolution.presets import SES_PRESETS, SHES_PRESETS
-from shes.evolution.sections import PRIMITIVE_SECTIONS, SES_SECTIONS, SHES_SECTIONS
 from shes.evolution.state import TrainState, check_arrays, check_headers, from_arrays, to_arrays
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings

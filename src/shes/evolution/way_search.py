@@ -15,11 +15,11 @@ import numpy as np
 
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
-from shes.es.streams import Purpose, stream
 from shes.evolution.archive import Archive, Reached
 from shes.evolution.state import TrainState
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import roll_out_tasks
+from shes.streams import Purpose, stream
 from shes.types import BoolArray, F64Array, IntArray
 
 WALKERS = 64
@@ -69,7 +69,7 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
     generation = Generation(
-        levels=LevelParameters.of_all(state.levels[-1:]),
+        levels=LevelParameters.of_all([state.levels[-1]]),
         sigma=0.0,
         episodes_per_policy=1,
         is_evaluation=False,

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from shes.drawing.make_drawer import make_drawer
 from shes.drawing.renderer import Drawer, Picture, check_camera
 from shes.drawing.window import Window, open_window
+from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.observation_spec import bounds
-from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import Settings, setting_fields

@@ -11,6 +11,7 @@ import numpy as np
 
 from shes.agents.agent import AgentBatch
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation, wander
+from shes.streams import EpisodePurpose, episode_stream
 from shes.types import F32Array, F64Array, IntArray
 
 EXPLORATION_STD = 0.01
@@ -43,7 +44,7 @@ class Exploration:
     def draw(self, lane: int, task: EpisodeTask) -> None:
         """Draw the noise, and the decisions if they are given, of the episodes of `task` in `lane`, by their seeds."""
         for slot, seed in zip(task.slots, task.seeds, strict=True):
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
+            rng = episode_stream(seed, EpisodePurpose.EXPLORATION_NOISE)
             for noise in self._drawn:
                 drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
                 np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
@@ -56,10 +57,10 @@ class Exploration:
         if decisions == "zero":
             return np.zeros((count, design.decision_size))
         if decisions == "random":
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(2,))))
+            rng = episode_stream(seed, EpisodePurpose.RANDOM_GOALS)
             return design.direction_outputs(rng.uniform(0, 2 * np.pi, count))
         if decisions == "wander":
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(3,))))
+            rng = episode_stream(seed, EpisodePurpose.WANDERING)
             return design.direction_outputs(wander(rng, count, 1)[:, 0])
         return design.direction_outputs(np.full(count, decisions))
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import mujoco
 
 from shes.agents.agent import AgentDesign
-from shes.envs.registry import EnvironmentMaker
+from shes.envs.named_environments import EnvironmentMaker
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError

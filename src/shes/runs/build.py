@@ -13,7 +13,7 @@ from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.registry import Environment, EnvironmentMaker, find_environment
+from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
@@ -21,7 +21,7 @@ from shes.rollout.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.sections import algorithm_of
+from shes.runs.run_settings import algorithm_of
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 

@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
-from shes.envs.registry import find_environment
+from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
-from shes.runs.sections import (
+from shes.runs.run_settings import (
     EpisodeSettings,
     EvaluationSettings,
     RunSettings,
@@ -28,7 +28,7 @@ from shes.settings import Execution, Setting, Settings, Unasked, setting_fields
 
 @dataclass(frozen=True, init=False)
 class TrainConfig:
-    """The settings of a training run in sections: `config.run.seed`. See `shes.runs.sections`."""
+    """The settings of a training run in sections: `config.run.seed`. See `shes.runs.run_settings`."""
 
     run: RunSettings
     workers: WorkerSettings

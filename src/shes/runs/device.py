@@ -7,7 +7,7 @@ from typing import Any
 
 from shes.agents.agent import AgentDesign
 from shes.envs.external.environment import ExternalEnvironment
-from shes.envs.registry import find_environment
+from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.machine import free_memory, num_cores
 from shes.rollout.episodes import empty_outcomes

@@ -16,7 +16,6 @@ from shes.backends.backend import Backend
 from shes.checked import checked
 from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
-from shes.es.streams import Purpose, stream
 from shes.listing import Listing, facts_listing
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
 from shes.rollout.results import PopulationResults, lower_diverged
@@ -25,6 +24,7 @@ from shes.runs.build import build_backend, open_run
 from shes.runs.device import check_asked_device, check_limits, most_episodes
 from shes.runs.folder import RunFolder
 from shes.settings import Ge
+from shes.streams import Purpose, stream
 from shes.types import F64Array
 
 StateT = TypeVar("StateT", bound=AnyState)

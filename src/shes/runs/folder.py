@@ -12,7 +12,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from shes.envs.registry import GYMNASIUM
+from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import ArrayCheck, Checkpoint, load_checkpoint
 from shes.runs.config import TrainConfig

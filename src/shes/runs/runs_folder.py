@@ -27,7 +27,7 @@ from shes.runs.interruption import resumable
 from shes.runs.listeners import AnyListener
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import ProgressDisplay
-from shes.runs.sections import check_names, known_settings
+from shes.runs.run_settings import check_names, known_settings
 from shes.runs.shipped import find_run
 from shes.runs.tables import trained_minutes
 from shes.runs.train import check_resumable, finish_run

@@ -27,7 +27,7 @@ from shes.runs.listeners import AnyListener, Listeners
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import with_display
 from shes.runs.recorder import Recorder, run_log
-from shes.runs.sections import execution_settings, known_settings
+from shes.runs.run_settings import execution_settings, known_settings
 from shes.runs.tables import read_csv
 from shes.runs.transfer import check_robot, transfer
 from shes.settings import Setting

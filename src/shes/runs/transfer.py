@@ -16,7 +16,7 @@ from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, algorithm_classes
 from shes.runs.repetitions import origin_of
-from shes.runs.sections import RunSettings, algorithm_of
+from shes.runs.run_settings import RunSettings, algorithm_of
 from shes.settings import flag
 
 

@@ -23,6 +23,7 @@ from shes.errors import ShapeError, UnknownNameError
 from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
+from shes.streams import EpisodePurpose, episode_stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
 FRAME_SKIP = 5
@@ -271,9 +272,7 @@ class Task(EpisodeBatch):
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
         self.sim.reset(ids)
-        rngs = [
-            np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed), spawn_key=(0,)))) for seed in seeds
-        ]
+        rngs = [episode_stream(int(seed), EpisodePurpose.RESET) for seed in seeds]
         self._place_robots(ids, rngs)
         given = [i for i, state in enumerate(states) if state is not None]
         if given:

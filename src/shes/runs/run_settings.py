@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
-from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options

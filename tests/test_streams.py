@@ -5,7 +5,7 @@ from itertools import product
 from pathlib import Path
 
 import shes
-from shes.es.streams import Purpose, stream
+from shes.streams import EpisodePurpose, Purpose, episode_stream, stream
 
 
 def test_every_purpose_and_key_has_its_own_stream():
@@ -25,12 +25,21 @@ def test_the_streams_of_a_run_never_change():
     assert stream(7, Purpose.BRANCHES, 3, 1).integers(10**6, size=3).tolist() == [208427, 417556, 366066]
 
 
+def test_every_episode_and_purpose_has_its_own_stream():
+    first = {episode_stream(seed, purpose).integers(2**63).item() for seed in (0, 1) for purpose in EpisodePurpose}
+    assert len(first) == 2 * len(EpisodePurpose)
+    assert [purpose.name for purpose in EpisodePurpose] == ["RESET", "EXPLORATION_NOISE", "RANDOM_GOALS", "WANDERING"]
+
+
 def test_a_stream_starts_anew_at_every_call():
     assert stream(1, Purpose.ARCHIVE, 2).random() == stream(1, Purpose.ARCHIVE, 2).random()
 
 
 def test_no_module_draws_twice_for_one_purpose():
     sources = {path: path.read_text(encoding="utf-8") for path in Path(shes.__file__).parent.rglob("*.py")}
-    uses = [(path, name) for path, text in sources.items() for name in re.findall(r"\bPurpose\.([A-Z_]+)", text)]
-    assert len(uses) == len(set(uses))
-    assert {name for _, name in uses} == set(Purpose.__members__)
+    assert [path.name for path, text in sources.items() if "SeedSequence" in text] == ["streams.py"]
+    for purposes in (Purpose, EpisodePurpose):
+        pattern = rf"\b{purposes.__name__}\.([A-Z_]+)"
+        uses = [(path, name) for path, text in sources.items() for name in re.findall(pattern, text)]
+        assert len(uses) == len(set(uses))
+        assert {name for _, name in uses} == set(purposes.__members__)
