@@ -127,7 +127,7 @@ LISTED = {
 }
 
 
-def test_list_tells_the_state_of_every_run_and_why_it_is_unreadable(shes, tiny_run, tmp_path, monkeypatch):
+def test_list_tells_states_and_why_runs_are_unreadable(shes, tiny_run, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     for name, (_, change) in {**LISTED, "locked": LISTED["longer"]}.items():
         change(shutil.copytree(tiny_run, tmp_path / name))
@@ -322,7 +322,7 @@ register_environment("point-own", Point, Gather)
 """
 
 
-def test_an_environment_of_an_imported_module_can_be_used_like_any_other(shes, tmp_path, own_module):
+def test_an_environment_of_an_imported_module_can_be_used(shes, tmp_path, own_module):
     name = own_module(OWN)
     rows = json.loads(shes("envs", "--json", "--import", name, "--import=json"))
     assert "point-own" in [row["name"] for row in rows]
@@ -353,7 +353,7 @@ def test_a_module_that_fails_is_an_error_that_names_it(capsys, own_module, conte
     assert error.value.__cause__ is not None
 
 
-def test_the_installed_command_and_the_module_are_the_same_program():
+def test_the_installed_command_is_the_module():
     shes = Path(sys.executable).with_name("shes")
     found = {
         subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout

@@ -66,7 +66,7 @@ class Other(Settings):
     other_shape: Annotated[str, Choices(SHAPES)] = "point"
 
 
-def test_options_are_in_the_first_section_that_can_choose_their_class():
+def test_options_are_in_the_section_that_chooses_their_class():
     found = with_options({"section": Section, "other": Other})
     assert {section: list(own) for section, own in found.items()} == {
         "section": ["shape", "radius", "size"],

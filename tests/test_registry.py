@@ -52,7 +52,7 @@ def test_a_registry_is_a_mapping_in_the_order_of_registration(animals):
         animals["dog"] = Bird
 
 
-def test_an_unknown_name_is_refused_with_the_nearest_and_what_to_do(animals):
+def test_an_unknown_name_is_refused_with_what_to_do(animals):
     message = r"unknown animal 'dig'\. Did you mean 'dog'\? Known: dog\. Set --animal\."
     with pytest.raises(UnknownNameError, match=message):
         animals.find("dig")
@@ -60,7 +60,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_and_what_to_do(animals):
         animals.find(3, kind="pet", fix="Buy one.")
 
 
-def test_the_same_class_defined_again_takes_the_place_of_the_first(animals):
+def test_a_class_defined_again_replaces_the_first(animals):
     again = type("Dog", (Animal,), {"__module__": Dog.__module__, "__qualname__": "Dog", "legs": 4})
     animals.register("dog", again)
     assert animals["dog"] is again

@@ -91,7 +91,7 @@ def test_a_field_of_an_unsupported_type_is_refused(kind):
         setting_fields(cls)
 
 
-def test_an_unknown_name_is_refused_with_the_nearest_until_it_is_added(monkeypatch):
+def test_an_unknown_name_is_refused_until_it_is_added(monkeypatch):
     for name, wrong in {"word": "onee", "name": "neat"}.items():
         message = rf"unknown {name} '{wrong}'\. Did you mean '{getattr(EveryKind(), name)}'\? .*Set --{name}\."
         with pytest.raises(UnknownNameError, match=message):
@@ -116,7 +116,7 @@ def test_values_of_numpy_become_those_of_python():
     assert [type(each) for each in EveryKind(place=[1, 2]).place] == [float, float]
 
 
-def test_a_number_stands_for_a_tuple_of_one_and_no_layer_is_a_choice():
+def test_a_number_is_a_tuple_of_one_and_layers_may_be_none():
     assert EveryKind(layers=8) == EveryKind(layers=(np.int64(8),))
     assert EveryKind(place=5).place == (5.0,)
     assert EveryKind(maybe=None, place=None, layers=[]).layers == ()

@@ -211,6 +211,7 @@ def test_a_worker_stopped_between_maps_delays_nothing(tmp_path):
 
 def test_lost_tasks_do_not_wait_for_a_worker_that_never_asks(tmp_path):
     with noted(ProcessesBackend(Worker, 2)) as backend:
+        assert backend.worker_timeout_s == 600
         list(backend.map([("meet", tmp_path)] * 4))
         stopped = backend.pids()[0]
         os.kill(stopped, signal.SIGSTOP)

@@ -78,13 +78,13 @@ def fail(error):
         (fail(WorkerError("lost")), 1),
     ],
 )
-def test_a_closed_pipe_ends_with_the_exit_code_of_what_happened_before(monkeypatch, work, code):
+def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, Broken())
     assert exit_code(work) == code
 
 
-def test_output_that_cannot_be_written_does_not_hide_the_exit_code_of_an_error(monkeypatch):
+def test_unwritable_output_does_not_hide_an_exit_code(monkeypatch):
     monkeypatch.setattr(sys, "stderr", Broken())
     assert main(["no-such-command"]) == 2
 

@@ -232,23 +232,19 @@ def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tm
     gymnasium.registry.pop("shes/PointCorner-v0")
 
 
-SHARED = Annotated[int, Gt(0), Shared()]
-
-
 @pytest.mark.parametrize(
-    ("name", "kind", "default", "message"),
+    ("name", "option", "message"),
     [
-        ("sigma", Annotated[float, Gt(0)], 3.0, r"is a setting .*'evolution' .*'environment' .*Own.*other name"),
+        ("sigma", (Annotated[float, Gt(0)], 3.0), r"is a setting .*'evolution' .*'environment' .*Own.*other name"),
         (
             "controller_interval",
-            SHARED,
-            10,
-            r"is .*'hierarchy' \(default 25\).*default 10, .*Give both the same default",
+            (Annotated[int, Shared()], 10),
+            r".*\(default 25\).*default 10, .*both the same default",
         ),
     ],
 )
-def test_a_task_has_no_option_with_the_name_of_another_setting(monkeypatch, name, kind, default, message):
-    task = type("OwnTask", (own_classes.Corner,), {"Options": options_of(TaskOptions, **{name: (kind, default)})})
+def test_a_task_has_no_option_with_the_name_of_another_setting(monkeypatch, name, option, message):
+    task = type("OwnTask", (own_classes.Corner,), {"Options": options_of(TaskOptions, **{name: option})})
     monkeypatch.setitem(ENVIRONMENTS, "point-mypush", Environment(Point, task))
     with pytest.raises(ConfigError, match=f"'{name}' {message}"):
         make_config("point-mypush", "smoke", {})

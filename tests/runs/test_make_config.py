@@ -114,69 +114,40 @@ def test_overrides_win_over_the_preset():
 
 
 OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
-IDLE = {
-    # A setting that has no effect: the environment, all settings, the message, what helps.
-    "rank_ties": (
-        "point-gather", {"fitness_shaping": "pair_rank", "mirrored": "pair", "rank_ties": "index"},
-        "rank_ties has no effect with fitness_shaping 'pair_rank', got 'index'. Set --fitness-shaping to centred_rank",
-        {"fitness_shaping": "centred_rank"},
-    ),
-    "schedule_generations": (
-        "point-gather", {"schedule_generations": 50},
-        "schedule_generations has no effect with sigma_end None, learning_rate_end None, got 50.*omit --schedule-gen",
-        {"sigma_end": 0.01},
-    ),
-    "freeze_primitive": (
-        "ant-gather", {"freeze_primitive": False},
-        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive",
-        {"primitive": "ant-walker"},
-    ),
-    "primitive_checkpoint": (
-        "point-gather", {"primitive_checkpoint": "last"}, "no effect with primitive None.*omit --primitive-checkpoint",
-        None,
-    ),
-    "explore_horizon": (
-        "ant-maze", {"explore": "none", "explore_horizon": 900},
-        "explore_horizon has no effect with explore 'none', got 900", {"explore": "archive"},
-    ),
-    **{
-        name: ("ant-flagrun", {name: value}, rf"{name} .* {OF_INTERVALS}", {"primitive_estimate": "episode"})
-        for name, value in {
-            "fitness_shaping": "centred_rank", "mirrored": "none", "episodes_per_policy": 5,
-            "common_random_numbers": "off", "statistics_fraction": 0.0,
-        }.items()
-    },
-    "perturbation": (
-        "ant-gather", {"perturbation": "one_to_many"},
-        "needs two levels evaluated by whole episodes; in this run only the controller is; got 'one_to_many'",
-        {"primitive_estimate": "episode"},
-    ),
-    "perturbation with a frozen level": (
-        "ant-gather", {"perturbation": "one_to_many", "primitive": "ant-walker"},
-        "--perturbation needs two learning levels; in this run only the controller learns", None,
-    ),
-    **{
-        name: (
-            "ant-gather", {"primitive": "ant-walker", name: value},
-            f"{name} has no effect on a frozen primitive; got {value}", {"freeze_primitive": False},
-        )
-        for name, value in {
-            "intervals": 5, "fall_price": 0.0, "primitive_sigma": 0.3, "primitive_population_size": 6,
-        }.items()
-    },
-    **{
-        name: (
-            "gymnasium:shes/PointMaze-v0", {name: value}, f"{name} has no effect on gymnasium:.* its own physics", None,
-        )
-        for name, value in {"reset_noise": 0.0, "spec": "shes"}.items()
-    },
-}  # fmt: skip
+ON_WALKER = {"primitive": "ant-walker"}
+FROZEN = r"{name} has no effect on a frozen primitive; got {value}"
+IDLE = [
+    # Environment; a setting that has no effect, and others; the message; what helps.
+    ("point-gather", {"rank_ties": "index", "fitness_shaping": "pair_rank", "mirrored": "pair"},
+     "{name} has no effect with fitness_shaping 'pair_rank', got 'index'. Set --fitness-shaping to centred_rank",
+     {"fitness_shaping": "centred_rank"}),
+    ("point-gather", {"schedule_generations": 50},
+     "{name} has no effect with sigma_end None, learning_rate_end None, got 50.*omit --sched", {"sigma_end": 0.01}),
+    ("ant-gather", {"freeze_primitive": False},
+     r"{name} has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive", ON_WALKER),
+    ("point-gather", {"primitive_checkpoint": "last"},
+     "{name} has no effect with primitive None.*omit --primitive-checkpoint", None),
+    ("ant-maze", {"explore_horizon": 900, "explore": "none"},
+     "{name} has no effect with explore 'none', got 900", {"explore": "archive"}),
+    ("ant-gather", {"perturbation": "one_to_many"},
+     "needs two levels evaluated by whole episodes; in this run only the controller is; got 'one_to_many'",
+     {"primitive_estimate": "episode"}),
+    ("ant-gather", {"perturbation": "one_to_many", **ON_WALKER},
+     "--{name} needs two learning levels; in this run only the controller learns", None),
+    *(("ant-flagrun", each, "{name} .* " + OF_INTERVALS, {"primitive_estimate": "episode"}) for each in (
+        {"fitness_shaping": "centred_rank"}, {"mirrored": "none"}, {"episodes_per_policy": 5},
+        {"common_random_numbers": "off"}, {"statistics_fraction": 0.0})),
+    *(("ant-gather", {**each, **ON_WALKER}, FROZEN, {"freeze_primitive": False}) for each in (
+        {"intervals": 5}, {"fall_price": 0.0}, {"primitive_sigma": 0.3}, {"primitive_population_size": 6})),
+    *(("gymnasium:shes/PointMaze-v0", each, "{name} has no effect on gymnasium:.* its own physics", None) for each in (
+        {"reset_noise": 0.0}, {"spec": "shes"})),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", IDLE)
-def test_a_setting_without_effect_is_refused_with_what_helps(case):
-    env, settings, message, helps = IDLE[case]
-    with pytest.raises(ConfigError, match=message):
+@pytest.mark.parametrize(("env", "settings", "message", "helps"), IDLE, ids=str)
+def test_a_setting_without_effect_is_refused_with_what_helps(env, settings, message, helps):
+    name, value = next(iter(settings.items()))
+    with pytest.raises(ConfigError, match=message.format(name=name, value=value)):
         make_config(env, "laptop", settings)
     if helps is not None:
         helped = {**settings, **helps}
