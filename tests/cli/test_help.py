@@ -236,7 +236,7 @@ def test_the_value_of_every_setting_can_be_written(given, preset):
     ],
 )
 def test_a_flag_of_several_values_given_twice_is_refused(capsys, line, flag):
-    assert main(["train", "point-gather", *line.split()]) == 2
+    assert main(["train", "point-gather", "--preset", "smoke", *line.split()]) == 2
     assert capsys.readouterr() == ("", f"Error: {flag} is given twice. Give it once, with all its values.\n")
 
 
