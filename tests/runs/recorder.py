@@ -13,11 +13,11 @@ import numpy as np
 import psutil
 import pytest
 
-from shes.rollout import worker
 from shes.es.level import LevelState, LevelUpdate, UpdateRule, update_level
 from shes.es.noise import NoiseTable
 from shes.evolution import way_search
 from shes.evolution.state import TrainState
+from shes.rollout import worker
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.exploration import Exploration
 from shes.rollout.lockstep import Rollout
