@@ -7,8 +7,8 @@ fresh episodes) and `curves.csv` (every evaluation); rows of other groups in the
 a time suit two cores: `taskset -c 0` before the command keeps one on its core, because JAX uses all that are idle.
 
 The ants have the tasks and the settings of the HIRO authors, and 40 minutes of one core per run: two hours of two cores
-in all. With more `--minutes` a run that has ended goes on. Gather has the Euler integrator, as have the runs that
-`benchmarks/time_to_score.py` compares it with.
+in all. With more `--minutes` a run that has ended goes on. Gather has the Euler integrator, as have the runs of SHES
+that it is compared with.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert "shes/py.typed" in package
     assert any(name.endswith("licenses/LICENSE") for name in names)
     agents = {name for name in package if name.startswith("shes/shipped/")}
-    page = {f"shes/viewing/report/page.{kind}" for kind in ("html", "css", "js")}
+    page = {"shes/viewing/report_page.html"}
     assert page <= package
     assert all(name.endswith((".py", "py.typed")) for name in package - agents - page)
     assert all(name.endswith((".csv", ".json", ".npz")) for name in agents)

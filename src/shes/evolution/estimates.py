@@ -167,7 +167,7 @@ def draw_episodes(
 ) -> Draws:
     """Return the members that whole episodes evaluate in the generation that follows `state`."""
     estimate, generation = settings.intervals, state.generation
-    signs, episodes, levels = settings.signs(generation), settings.episodes_per_policy, state.levels
+    signs, episodes, levels = settings.signs(generation).copy(), settings.episodes_per_policy, state.levels
     parameters = LevelParameters.of_all(levels)
     is_searching = state.archive is not None and not state.archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
