@@ -209,7 +209,7 @@ def test_the_reference_has_every_section_of_settings_with_the_docstrings_of_its_
     ids = {name for page in pages.values() for name in page.ids}
     sections = [type(section) for section in make_config("ant-push").sections.values()]
     assert {f"{cls.__module__}.{cls.__qualname__}" for cls in sections} <= ids
-    text = pages["reference/algorithms.html"].path.read_text(encoding="utf-8")
+    text = pages["reference/evolution.html"].path.read_text(encoding="utf-8")
     assert "Standard deviation of the perturbations (Table I: 0.02)." in text
 
 
