@@ -1,4 +1,4 @@
-"""What this process may use of the machine: cores, memory and disk, within the limits of containers."""
+"""Cores, memory and disk that this process may use, within the limits of containers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What every learning algorithm is to the rest of the package."""
+"""The contract of learning algorithms."""

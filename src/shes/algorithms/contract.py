@@ -163,9 +163,8 @@ class Algorithm(ABC, Generic[StateT]):
     packages: ClassVar[tuple[str, ...]] = ()
     """Distributions, beside NumPy and MuJoCo, on whose versions its numbers depend: a run records them."""
 
-    shares_memory: ClassVar[bool] = False
-    """Whether a state shares memory with the states after it: the next generation then begins only after this one is
-    evaluated and in its checkpoint. Otherwise both are done beside it."""
+    learns_in_main_process: ClassVar[bool] = False
+    """Whether it learns in the main process, so that workers only evaluate."""
 
     @staticmethod
     def check_installed(name: str) -> None:

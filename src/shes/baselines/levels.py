@@ -35,7 +35,7 @@ Learner: TypeAlias = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """What is fixed about a level."""
+    """The parts of a level that do not change."""
 
     name: str
     actor: MLP

@@ -56,7 +56,7 @@ class TD3(Algorithm[TD3State]):
     sections: ClassVar[Mapping[str, type[Settings]]] = TD3_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
     packages: ClassVar[tuple[str, ...]] = ("jax", "optax")
-    shares_memory: ClassVar[bool] = True  # that of the replay buffers
+    learns_in_main_process: ClassVar[bool] = True
 
     @staticmethod
     def steps_per_generation(settings: Any) -> int:

@@ -132,7 +132,7 @@ class Draws:
     tasks: list[EpisodeTask]
     """The episodes, in the order of the members."""
     generation: Generation
-    """What all tasks share."""
+    """Data that all tasks share."""
     learning_rate: float
     """Learning rate of the levels that learn from this population."""
 

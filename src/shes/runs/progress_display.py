@@ -92,7 +92,7 @@ class ProgressDisplay:
             workers = f"device {config.workers.device}"
         elif config.workers.backend == "serial":
             workers = "this process"
-        elif config.algorithm.shares_memory:
+        elif config.algorithm.learns_in_main_process:
             workers = f"this process, evaluating on {workers}"
         after = f" after generation {generation}" if generation else ""
         name, text = (config.run.env, "bold"), f" ({config.run.preset}) on {workers}{after}. Run folder: "

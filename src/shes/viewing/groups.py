@@ -43,7 +43,7 @@ class RunData:
     is_damaged: bool
     """Whether a table cannot be read."""
     notes: list[str] = field(default_factory=list)
-    """What could not be read, or done with this run."""
+    """Faults found while this run was read or played."""
 
 
 @dataclass(frozen=True, kw_only=True)

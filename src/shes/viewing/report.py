@@ -43,7 +43,7 @@ _MOST_SHOWN = 6
 """Groups that have a map and a video."""
 _VIDEO_STEPS, _VIDEO_PIXELS = 150, 320
 _STATE = ("env", "algorithm", "preset", "seed", "generation", "generations", "env_steps", "best_score", "state")
-"""What is shown of the state of a run."""
+"""Fields of the state of a run that the report shows."""
 _CURVES_HINT = (
     "A curve of several runs is their mean, its band a 95 % t interval over runs. Two runs are thin lines with their "
     "mean, and runs that hardly overlap are drawn singly. The band of a single run is two standard errors over the "
