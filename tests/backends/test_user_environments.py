@@ -29,7 +29,7 @@ class Env(gymnasium.Env):
             file.write(f"{what} {os.getpid()} {id(self)}\\n")
 
     def __init__(self, render_mode=None, fault=""):
-        self.fault, self.memory = fault, np.ones(2 * 10**7 if fault == "heavy" else 1)
+        self.fault, self.memory = fault, np.ones(4 * 10**7 if fault == "heavy" else 1)
         self.note("made")
 
     def reset(self, *, seed=None, options=None):

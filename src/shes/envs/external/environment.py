@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import io
 import logging
@@ -102,6 +103,7 @@ class ExternalEnvironment:
 
     def measured_bytes(self) -> int:
         """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
+        gc.collect()  # what is freed meanwhile would be subtracted
         before = resident_memory()
         env = self.make_one()
         try:
