@@ -31,7 +31,7 @@ from shes.runs.comparison import check_scipy
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs, differing
 from shes.runs.progress_display import format_duration
-from shes.runs.run_settings import WorkerSettings
+from shes.runs.config import WorkerSettings
 from shes.runs.tables import trained_minutes
 from shes.runs.train import finish_run
 from shes.storage import storage_errors

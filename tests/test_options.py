@@ -15,7 +15,7 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.options import TAKEN, make, subclass_of, with_options
 from shes.registry import Registry
 from shes.runs.config import TrainConfig
-from shes.runs.run_settings import known_settings
+from shes.runs.config import known_settings
 from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from shes.envs.named_environments import register_environment, register_external
     from shes.runs.evaluate import Evaluation, evaluate
     from shes.runs.export import export
-    from shes.runs.listeners import StopTraining
+    from shes.runs.recorder import StopTraining
     from shes.runs.loaded_agent import Agent, load
     from shes.runs.named_algorithms import register_algorithm
     from shes.runs.train import Run, resume, train
@@ -62,7 +62,7 @@ _HOMES = {
     "Agent": "shes.runs.loaded_agent",
     "Evaluation": "shes.runs.evaluate",
     "Run": "shes.runs.train",
-    "StopTraining": "shes.runs.listeners",
+    "StopTraining": "shes.runs.recorder",
     "evaluate": "shes.runs.evaluate",
     "export": "shes.runs.export",
     "load": "shes.runs.loaded_agent",

@@ -8,7 +8,7 @@ class SearchSettings(Settings):
 ```
 
 The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines. The
-arguments of a function are checked alike if it is decorated with `shes.checked.checked`.
+arguments of a function are checked alike if it is decorated with `shes.settings.checked`.
 """
 
 from __future__ import annotations
@@ -44,6 +44,13 @@ from shes.annotations import (
 )
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
+
+
+import inspect
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, TypeVar, get_type_hints
+
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
 __all__ += ["Shown", "Unasked", "described", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
@@ -302,3 +309,34 @@ def field_texts(cls: type) -> dict[str, str]:
 @cache
 def _syntax_tree(file: str) -> ast.Module:
     return ast.parse("".join(linecache.getlines(file)))
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def checked(function: F) -> F:
+    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
+
+    A call raises as `Setting.checked` does, which also converts the values.
+    """
+    if isinstance(function, type):
+        function.__init__ = checked(function.__init__)
+        return function  # type: ignore[return-value] - it is of its own type
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(*args, **kwargs)
+        for name, parameter in _parameters(function).items():
+            if name in given.arguments:
+                given.arguments[name] = parameter.checked(given.arguments[name])
+        return function(*given.args, **given.kwargs)
+
+    return call  # type: ignore[return-value] - of the same signature
+
+
+@cache
+def _parameters(function: Callable[..., Any]) -> dict[str, Setting]:
+    hints = get_type_hints(function, include_extras=True)
+    found = {name: described(name, hint, function) for name, hint in hints.items()}
+    return {name: parameter for name, parameter in found.items() if parameter.notes}

@@ -10,6 +10,11 @@ from typing import Any, Final, Protocol, TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+
 F32Array: TypeAlias = NDArray[np.float32]
 F64Array: TypeAlias = NDArray[np.float64]
 FloatArray: TypeAlias = NDArray[np.floating[Any]]
@@ -39,3 +44,31 @@ class ArrayHeader(Protocol):
 def is_whole(value: Any) -> TypeGuard[int]:
     """Return whether `value` is an integer of Python or NumPy; a bool or 25.0 is not."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+__all__ = ["Listing", "Table", "facts_listing"]
+
+
+class Table(NamedTuple):
+    """A table of texts."""
+
+    headings: Sequence[str]
+    """Headings of the columns; empty for a table of names and values."""
+    rows: Sequence[Sequence[str]]
+
+
+class Listing(NamedTuple):
+    """Output of a command."""
+
+    facts: Any
+    """All of it as JSON types."""
+    parts: Sequence[Table | str]
+    """Tables and lines, in order."""
+    errors: Sequence[str] = ()
+    """Messages about parts that failed."""
+
+
+def facts_listing(facts: Mapping[str, Any]) -> Listing:
+    """Return the listing of named values."""
+    rows = [(name, f"{it:,.3f}" if isinstance(it, float) else str(it)) for name, it in facts.items()]
+    return Listing(facts, [Table((), rows)])

@@ -18,7 +18,7 @@ from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.runs.run_settings import known_settings
+from shes.runs.config import known_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
 

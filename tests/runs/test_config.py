@@ -22,7 +22,7 @@ from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_task
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
-from shes.runs.run_settings import WorkerSettings, execution_settings, known_settings
+from shes.runs.config import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, Shared, flag
 from tests.e2e import own_classes, runs
 

@@ -12,7 +12,7 @@ import shes
 import shes.algorithms.problem
 import shes.rollout.worker
 import shes.runs.build
-import shes.runs.provenance
+import shes.runs.folder
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError
@@ -22,12 +22,12 @@ from shes.rollout.results import PopulationResults
 from shes.runs import device
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device, check_limits, max_workers, most_episodes
+from shes.runs.build import check_asked_device, check_limits, max_workers, most_episodes
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
-from shes.runs.provenance import provenance
-from shes.runs.run_settings import WorkerSettings, execution_settings
+from shes.runs.folder import provenance
+from shes.runs.config import WorkerSettings, execution_settings
 from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES
@@ -57,7 +57,7 @@ def stand_in(monkeypatch):
     monkeypatch.setattr(shes.rollout.worker, "simulator_factory", lambda *_: CpuSimulator)
     monkeypatch.setattr(shes.rollout.worker.RolloutWorker, "_most_lanes", lambda *_: 8)
     monkeypatch.setattr(shes.rollout.worker, "WarpDevice", Device)
-    monkeypatch.setattr(shes.runs.provenance, "WarpDevice", Device)
+    monkeypatch.setattr(shes.runs.folder, "WarpDevice", Device)
     monkeypatch.setattr(shes.algorithms.problem.Problem, "xp", np)
     return facts
 

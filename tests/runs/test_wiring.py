@@ -18,7 +18,7 @@ from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.run_settings import known_settings
+from shes.runs.config import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.streams import Purpose, stream

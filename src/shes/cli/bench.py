@@ -15,18 +15,18 @@ import mujoco
 import numpy as np
 
 from shes.backends.serial import SerialBackend
-from shes.checked import checked
+from shes.settings import checked
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.strategies import EvolutionAlgorithm
-from shes.listing import Listing, facts_listing
+from shes.types import Listing, facts_listing
 from shes.machine import on_one_core
 from shes.rollout.worker import RolloutWorker, WorkerPlan
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_limits
+from shes.runs.build import check_limits
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS
 from shes.settings import Ge

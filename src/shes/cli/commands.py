@@ -10,10 +10,10 @@ import tyro
 
 from shes.cli.parsing import print_completion
 from shes.errors import ConfigError
-from shes.listing import Listing
+from shes.types import Listing
 from shes.runs import train as run_training
 from shes.runs.folder import new_folder
-from shes.runs.run_settings import RunSettings
+from shes.runs.config import RunSettings
 from shes.runs.runs_folder import RunsFolder, read_sweep, vary
 from shes.runs.train import Run
 

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from shes.cli.program import TERMINATED, TO_ASCII
 from shes.console import LineConsole
-from shes.listing import Listing
+from shes.types import Listing
 from shes.runs.progress_display import drawing_progress
 
 

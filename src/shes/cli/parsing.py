@@ -26,10 +26,10 @@ from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.named_environments import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
-from shes.listing import Listing
+from shes.types import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
-from shes.runs.run_settings import RunSettings, by_name, known_settings, settings_by_section
+from shes.runs.config import RunSettings, by_name, known_settings, settings_by_section
 from shes.runs.train import resumable_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag

@@ -21,7 +21,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from shes.checked import checked
+from shes.settings import checked
 from shes.errors import ConfigError, StorageError
 from shes.host_arrays import to_host
 from shes.machine import free_disk, free_memory

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shes.checked import checked
+from shes.settings import checked
 from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
 from shes.es.noise import NoiseTable

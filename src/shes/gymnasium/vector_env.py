@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from shes.checked import checked
+from shes.settings import checked
 from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter

@@ -13,15 +13,15 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
 from shes.backends.backend import Backend
-from shes.checked import checked
+from shes.settings import checked
 from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
-from shes.listing import Listing, facts_listing
+from shes.types import Listing, facts_listing
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
 from shes.rollout.results import PopulationResults, lower_diverged
 from shes.rollout.roll_out import roll_out_tasks
 from shes.runs.build import build_backend, open_run
-from shes.runs.device import check_asked_device, check_limits, most_episodes
+from shes.runs.build import check_asked_device, check_limits, most_episodes
 from shes.runs.folder import RunFolder
 from shes.settings import Ge
 from shes.streams import Purpose, stream

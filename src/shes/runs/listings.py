@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from shes.errors import RunFolderError, ShesError
-from shes.listing import Listing, Table, facts_listing
+from shes.types import Listing, Table, facts_listing
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import FreshEvaluation, read_agent, shipped_name, shipped_names
 from shes.runs.tables import read_csv

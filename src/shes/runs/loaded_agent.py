@@ -10,7 +10,7 @@ import numpy as np
 
 from shes.agents.frames import Frames
 from shes.algorithms.contract import Algorithm
-from shes.checked import checked
+from shes.settings import checked
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, build_algorithm, open_run

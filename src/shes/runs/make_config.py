@@ -11,9 +11,9 @@ from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device
+from shes.runs.build import check_asked_device
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
-from shes.runs.run_settings import RunSettings, algorithm_of, by_name, check_names, settings_by_section
+from shes.runs.config import RunSettings, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.shipped import run_text
 from shes.runs.transfer import brought_settings, transferred_levels
 from shes.settings import Needs, setting_fields

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from shes.console import LineConsole
 from shes.runs.config import TrainConfig
-from shes.runs.listeners import AnyListener
+from shes.runs.recorder import AnyListener
 from shes.runs.tables import Row
 
 _BLOCKS, _ASCII_BLOCKS = "▁▂▃▄▅▆▇█", "_.-:=+*#"

@@ -18,16 +18,16 @@ from typing import Any
 from shes.console import LineConsole
 from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, ShesError, WorkerError
 from shes.es.noise import NoiseTable
-from shes.listing import Listing
+from shes.types import Listing
 from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_limits
+from shes.runs.build import check_limits
 from shes.runs.folder import RunFolder, check_folder_of_runs, differing
-from shes.runs.interruption import resumable
-from shes.runs.listeners import AnyListener
+from shes.runs.train import resumable
+from shes.runs.recorder import AnyListener
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import ProgressDisplay
-from shes.runs.run_settings import check_names, known_settings
+from shes.runs.config import check_names, known_settings
 from shes.runs.shipped import find_run
 from shes.runs.tables import trained_minutes
 from shes.runs.train import check_resumable, finish_run

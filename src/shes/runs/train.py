@@ -15,23 +15,31 @@ import numpy as np
 from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
-from shes.listing import Listing
+from shes.types import Listing
 from shes.runs.build import build_algorithm, build_backend, check_device
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device, check_limits, most_episodes
+from shes.runs.build import check_asked_device, check_limits, most_episodes
 from shes.runs.evaluate import logger
 from shes.runs.folder import RunFolder, differing, new_folder
-from shes.runs.interruption import Interruption, resumable
-from shes.runs.listeners import AnyListener, Listeners
+from shes.runs.recorder import AnyListener, Listeners
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import with_display
 from shes.runs.recorder import Recorder, run_log
-from shes.runs.run_settings import execution_settings, known_settings
+from shes.runs.config import execution_settings, known_settings
 from shes.runs.tables import read_csv
 from shes.runs.transfer import check_robot, transfer
 from shes.settings import Setting
 from shes.types import F64Array
+
+
+import shlex
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,3 +274,48 @@ def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, Interruption]
         raise KeyboardInterrupt
     last = recorder.checkpoint
     return Run(path=folder.path, config=config, generation=last.generation, best=last.best)
+
+
+class Interruption:
+    """A context that delays Ctrl-C and SIGTERM while files are written; the second signal ends the run at once."""
+
+    def __init__(self) -> None:
+        self.is_requested = False
+        self._may_raise = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: object) -> None:
+        is_second, self.is_requested = self.is_requested, True
+        if self._may_raise or is_second:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Raise KeyboardInterrupt at once for a signal inside this block, which writes no file."""
+        try:
+            self._may_raise = True
+            if self.is_requested:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._may_raise = False
+
+
+@contextmanager
+def resumable(path: Path | str) -> Iterator[None]:
+    """Add to a KeyboardInterrupt the note that the run, or the folder of runs, at `path` can be resumed."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"Stopped; all finished generations are kept. Go on: shes resume {shlex.quote(str(path))}")
+        raise

@@ -15,8 +15,8 @@ from shes.runs.build import OpenedRun, build_task, open_run
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, algorithm_classes
-from shes.runs.repetitions import origin_of
-from shes.runs.run_settings import RunSettings, algorithm_of
+from shes.runs.comparison import origin_of
+from shes.runs.config import RunSettings, algorithm_of
 from shes.settings import flag
 
 

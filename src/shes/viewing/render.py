@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from shes.checked import checked
+from shes.settings import checked
 from shes.drawing.make_drawer import make_drawer
 from shes.drawing.renderer import Drawer, Picture
 from shes.errors import ConfigError

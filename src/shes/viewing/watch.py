@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
-from shes.checked import checked
+from shes.settings import checked
 from shes.drawing.window import open_window
 from shes.settings import Ge
 from shes.viewing.playback import Playback
