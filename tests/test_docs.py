@@ -21,8 +21,8 @@ from shes.cli.command_table import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
-from shes.runs.make_config import make_config
 from shes.runs.config import known_settings
+from shes.runs.make_config import make_config
 from shes.settings import flag, setting_fields
 from tests.browser import find_browser, layout_faults
 

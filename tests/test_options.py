@@ -14,8 +14,7 @@ from shes.cli import command_table, commands
 from shes.errors import ConfigError, UnknownNameError
 from shes.options import TAKEN, make, subclass_of, with_options
 from shes.registry import Registry
-from shes.runs.config import TrainConfig
-from shes.runs.config import known_settings
+from shes.runs.config import TrainConfig, known_settings
 from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked
 
 

@@ -8,7 +8,7 @@ class SearchSettings(Settings):
 ```
 
 The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines. The
-arguments of a function are checked alike if it is decorated with `shes.settings.checked`.
+arguments of a function are checked alike if it is decorated with `checked`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import inspect
 import linecache
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
+from functools import cache, wraps
 from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -45,17 +45,21 @@ from shes.annotations import (
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
 
-
-import inspect
-from collections.abc import Callable
-from functools import cache, wraps
-from typing import Any, TypeVar, get_type_hints
-
-
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
-__all__ += ["Shown", "Unasked", "described", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
+__all__ += [
+    "Shown",
+    "Unasked",
+    "checked",
+    "described",
+    "field_texts",
+    "flag",
+    "out_of_range",
+    "registered",
+    "setting_fields",
+]
 
 NoteT = TypeVar("NoteT")
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -309,9 +313,6 @@ def field_texts(cls: type) -> dict[str, str]:
 @cache
 def _syntax_tree(file: str) -> ast.Module:
     return ast.parse("".join(linecache.getlines(file)))
-
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 def checked(function: F) -> F:

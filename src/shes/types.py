@@ -1,19 +1,17 @@
-"""Array types and checks shared by all packages. Docstrings give shapes as `[axis, axis]`.
+"""Types that all packages share: arrays, and the listings that commands print.
+
+Docstrings give shapes as `[axis, axis]`.
 
 The letters of the axes are explained in `docs/reference/index.md`.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, Protocol, TypeAlias, TypeGuard
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
-
-
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
-
 
 F32Array: TypeAlias = NDArray[np.float32]
 F64Array: TypeAlias = NDArray[np.float64]
@@ -44,9 +42,6 @@ class ArrayHeader(Protocol):
 def is_whole(value: Any) -> TypeGuard[int]:
     """Return whether `value` is an integer of Python or NumPy; a bool or 25.0 is not."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-__all__ = ["Listing", "Table", "facts_listing"]
 
 
 class Table(NamedTuple):

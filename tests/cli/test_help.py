@@ -13,11 +13,11 @@ from shes.cli.command_table import COMMANDS, EVERYWHERE
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.named_environments import ENVIRONMENTS
-from shes.types import Listing
 from shes.runs import comparison, export
+from shes.runs.config import execution_settings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
-from shes.runs.config import execution_settings
+from shes.types import Listing
 from shes.viewing import plot, render
 
 

@@ -20,9 +20,8 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_task
-from shes.runs.config import TrainConfig
+from shes.runs.config import TrainConfig, WorkerSettings, execution_settings, known_settings
 from shes.runs.make_config import make_config
-from shes.runs.config import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, Shared, flag
 from tests.e2e import own_classes, runs
 
@@ -163,8 +162,6 @@ def record(env="point-gather", **changes):
 
 
 RECORDS = [
-    ({"workers": {"sigma": 0.07}}, r"unknown setting 'sigma' in section 'workers'"),
-    ({"attic": {}}, r"a run of point-gather has no section of settings 'attic'"),
     ({"evolution": 1}, r"'evolution' must be an object of settings, got 1"),
     ({"run": {"env": ...}}, r"the configuration names no environment"),
     ({"hierarchy": {"primitive_reward": "pow", "exponent": 2}}, r"unknown primitive reward 'pow'"),

@@ -133,7 +133,7 @@ def test_a_checkpoint_of_other_settings_is_refused_by_naming_them(run_copy):
     checkpoint = folder.load("last")
     checkpoint.numbers["sigma"] = 9.0
     save_checkpoint(folder.checkpoint_path("last"), checkpoint)
-    message = r"last\.npz is of another run: sigma is 9\.0, not .*Put back the checkpoint"
+    message = r"last\.npz is of another run: sigma is 9\.0 there, not .*Put back the checkpoint"
     with pytest.raises(CheckpointError, match=message):
         folder.load("last")
 
@@ -183,6 +183,6 @@ def test_a_record_that_cannot_be_read_is_one_clear_error(run_copy, case):
         with pytest.raises(error, match=rf"config\.json.*{message}"):
             go_on(run_copy)
     state = run_state(RunFolder(run_copy))
-    assert (state.state, state.generation, state.env_steps) == ("unreadable", 4, 640)  # by its tables
+    assert (state.state, state.generation) == ("unreadable", None)
     assert "config.json" in state.problem
     assert path.read_bytes() == before

@@ -14,8 +14,8 @@ from rich.text import Text
 
 from shes.cli.program import TERMINATED, TO_ASCII
 from shes.console import LineConsole
-from shes.types import Listing
 from shes.runs.progress_display import drawing_progress
+from shes.types import Listing
 
 
 def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:

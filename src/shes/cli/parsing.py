@@ -26,13 +26,11 @@ from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.named_environments import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
-from shes.types import Listing
-from shes.runs.config import TrainConfig
+from shes.runs.config import RunSettings, TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
 from shes.runs.make_config import make_config
-from shes.runs.config import RunSettings, by_name, known_settings, settings_by_section
-from shes.runs.train import resumable_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag
+from shes.types import Listing
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from shes.settings import checked
-from shes.errors import ConfigError, MissingExtraError
-from shes.types import Listing, Table
+from shes.errors import ConfigError, MissingExtraError, ShesError
+from shes.runs.config import TrainConfig
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.runs_folder import find_runs
-from shes.settings import Ge
-from shes.types import F64Array
-
-
-from collections.abc import Mapping, Sequence
-from typing import Any
-
-from shes.errors import ShesError
-from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
-from shes.runs.shipped import shipped_name
-
+from shes.settings import Ge, checked
+from shes.types import F64Array, Listing, Table
 
 MEASURES = {"score": "scores", "return": "returns", "success": "successes"}
 """Measures that can be compared: name -> field of `Evaluation`."""
@@ -103,13 +93,6 @@ def compare_runs(
         measure: What is compared.
         num_workers: Worker processes; 0 is one for every core.
         seed: Seed of the episodes.
-
-    Raises:
-        UnknownNameError: `measure` is unknown.
-        ConfigError: The runs have different environments, those of a folder different settings, or one side has one run
-            and the other several.
-        MissingExtraError: SciPy is not installed.
-        ShesError: Raised by `evaluate`.
     """
     check_scipy()
     sides = [_repetitions(each) for each in (first, second)]
@@ -190,10 +173,6 @@ def permutation_test(first: F64Array, second: F64Array) -> float:
     p is the share of divisions of all values into two such samples whose difference is at least as large. If there
     are more than 10,000 divisions, it is estimated from as many random ones and the given one, so that it is
     never 0. Source: Phipson and Smyth (2010).
-
-    Raises:
-        MissingExtraError: SciPy is not installed.
-        ValueError: A sample has less than two values.
     """
     scale = max(1.0, float(np.abs(np.concatenate([first, second])).max()))
 
@@ -206,7 +185,8 @@ def permutation_test(first: F64Array, second: F64Array) -> float:
     return float(found.pvalue)
 
 
-_LENGTHS = ("generations", "env_steps")
+# Repetitions are runs that differ only in the seed, their own and those of the runs from which they have a level. The
+# path of such a run says nothing of what it is; its settings count instead, and its planned length.
 
 
 def repeated_settings(folder: RunFolder) -> dict[str, Any]:
@@ -214,12 +194,12 @@ def repeated_settings(folder: RunFolder) -> dict[str, Any]:
 
     Those of a run that trained the primitive are called `primitive's sigma`, and `primitive` is then `of ENV`.
     """
-    return _settings(folder.read_config(), folder.read_record())
+    return {name: value for name, value in _traced(folder).items() if name.split()[-1] != "seed"}
 
 
 def seeds_of(folder: RunFolder) -> dict[str, int]:
     """Return the seeds in which repetitions of a run differ: `seed`, and `primitive's seed` if that is known."""
-    return _seeds(folder.read_config(), folder.read_record())
+    return {name: value for name, value in _traced(folder).items() if name.split()[-1] == "seed"}
 
 
 def differing_settings(settings: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -229,38 +209,20 @@ def differing_settings(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [name for name, found in values.items() if any(value != found[0] for value in found)]
 
 
-def origin_of(folder: RunFolder) -> dict[str, Any]:
-    """Return what the record of a run keeps of `folder`, from which it has a level; nothing of a shipped agent."""
-    if shipped_name(folder.path) is not None:
-        return {}
-    record, levels = folder.read_record(), folder.read_config().algorithm.transfers
-    return {name: record[name] for name in ("config", *levels) if name in record}
+def _traced(folder: RunFolder) -> dict[str, Any]:
+    """Return the settings of a run, and of the runs from which it has a level."""
 
-
-def _settings(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
-    found = {name: value for name, value in config.numbers().items() if name != "seed"}
-    for level, (theirs, origin) in _sources(config, record).items():
-        found[level] = f"of {theirs.run.env}"
-        of_level = {**_settings(theirs, origin), **{name: getattr(theirs.run, name) for name in _LENGTHS}}
-        found |= {f"{level}'s {name}": value for name, value in of_level.items() if name != "env"}
-    return found
-
-
-def _seeds(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, int]:
-    found = {"seed": config.run.seed}
-    for level, source in _sources(config, record).items():
-        found |= {f"{level}'s {name}": seed for name, seed in _seeds(*source).items()}
-    return found
-
-
-def _sources(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, tuple[TrainConfig, Mapping[str, Any]]]:
-    """Return settings and record of the runs from which a run has a level, by level, without those not known here."""
-    found = {}
-    for level in config.algorithm.transfers:
-        origin = record.get(level)
-        if isinstance(origin, Mapping) and "config" in origin:
+    def trace(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
+        found = config.numbers()
+        for level in config.algorithm.transfers:
             try:
-                found[level] = TrainConfig.from_dict(origin["config"]), origin
-            except (ShesError, TypeError, AttributeError):  # of a class that is not registered here, or edited by hand
+                theirs = TrainConfig.from_dict(record[level]["config"])
+            except (ShesError, KeyError, TypeError, AttributeError):  # a shipped agent, or a class not registered here
                 continue
-    return found
+            lengths = {"generations": theirs.run.generations, "env_steps": theirs.run.env_steps}
+            of_level = {**trace(theirs, record[level]), **lengths}
+            found[level] = f"of {of_level.pop('env')}"
+            found |= {f"{level}'s {name}": value for name, value in of_level.items()}
+        return found
+
+    return trace(folder.read_config(), folder.read_record())

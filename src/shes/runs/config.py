@@ -1,32 +1,25 @@
-"""The configuration of a training run. Settings objects stop here: the packages below take plain arguments."""
+"""The settings of a run, in sections. Settings objects stop here: the packages below take plain arguments.
+
+Every run has the sections of the classes below, `environment` (the options of its task) and `body` if the robot has
+options. The others are those of its algorithm: a run of es has no `hierarchy`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
-
-from shes.algorithms.contract import Algorithm
-from shes.envs.named_environments import find_environment
-from shes.envs.tasks.task_options import TaskOptions
-from shes.errors import ConfigError
-from shes.settings import Execution, Setting, Settings, Unasked, setting_fields
-
-
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown, flag
 from shes.sim.warp_device import DEVICES
 
 
@@ -103,6 +96,102 @@ class EvaluationSettings(Settings):
     """Generations between the checkpoints that are kept in addition to `last` and `best`."""
 
 
+@dataclass(frozen=True, init=False)
+class TrainConfig:
+    """The settings of a training run in sections: `config.run.seed`."""
+
+    run: RunSettings
+    workers: WorkerSettings
+    environment: TaskOptions
+    episodes: EpisodeSettings
+    evaluation: EvaluationSettings
+    sections: Mapping[str, Settings]
+    """All sections by name, these and those of the algorithm."""
+    values: Mapping[str, Any]
+    """The values of all settings by name, options of registered classes included."""
+
+    def __init__(self, sections: Mapping[str, Settings], values: Mapping[str, Any]) -> None:
+        self.__dict__.update(sections, sections=sections, values=values)
+
+    @classmethod
+    def of(cls, **values: Any) -> TrainConfig:
+        """Return the configuration with these settings: `TrainConfig.of(env="ant-gather", sigma=0.02)`."""
+        known = check_names(values)
+        checked = {name: each.checked(values.get(name, each.default)) for name, each in by_name(known).items()}
+        sections = {name: own.of(checked) for name, own in sections_of(RunSettings.of(values)).items()}
+        # A section may replace a value, such as a default that stands for another; options are in no field of it.
+        own = {
+            name: getattr(sections[section], name, checked[name]) for section, each in known.items() for name in each
+        }
+        config = cls(sections, own)
+        if config.workers.device != "cpu" and find_environment(config.run.env).has_own_physics:
+            raise ConfigError(
+                f"device is {config.workers.device!r}, but {config.run.env} has physics of its own: it runs on the CPU "
+                "alone. Set --device cpu."
+            )
+        config.algorithm.check(config)
+        return config
+
+    @classmethod
+    def from_dict(cls, sections: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
+        """Return the configuration from the result of `to_dict`. A missing setting has its default."""
+        values: dict[str, Any] = {}
+        for section, own in sections.items():
+            if not isinstance(own, Mapping):
+                raise ConfigError(f"{section!r} must be an object of settings, got {own!r}.")
+            for name, value in own.items():
+                if values.setdefault(name, value) != value:
+                    raise ConfigError(
+                        f"{name} is {values[name]!r} in one section and {value!r} in section {section!r}. "
+                        "It is one setting: give both the same value."
+                    )
+        return cls.of(**values)
+
+    def having(self, **values: Any) -> TrainConfig:
+        """Return a copy with other values of some settings."""
+        return TrainConfig.of(**{**self.values, **values})
+
+    def __getattr__(self, name: str) -> Any:
+        sections = self.__dict__.get("sections", {})
+        raise AttributeError(f"a run has no section of settings {name!r} here; it has {', '.join(sections)}")
+
+    def __contains__(self, section: str) -> bool:
+        return section in self.sections
+
+    def setting(self, name: str) -> Setting:
+        """Return the description of setting `name`."""
+        return by_name(settings_by_section(self.run))[name]
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Return the settings as JSON types, by section."""
+        sections = settings_by_section(self.run).items()
+        return {section: {name: self._as_json(name) for name in settings} for section, settings in sections}
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the settings that change the numbers of a run, by name, as JSON types."""
+        settings = by_name(settings_by_section(self.run))
+        return {name: self._as_json(name) for name, each in settings.items() if not each.has(Execution)}
+
+    def _as_json(self, name: str) -> Any:
+        value = self.values[name]
+        return list(value) if isinstance(value, tuple) else value
+
+    @property
+    def algorithm(self) -> type[Algorithm[Any]]:
+        """The class of the run's algorithm."""
+        return algorithm_of(self.run)
+
+    @property
+    def level_names(self) -> tuple[str, ...]:
+        """The names of the levels of the run."""
+        return self.algorithm.level_names
+
+    @property
+    def evaluation_steps(self) -> int:
+        """Control steps in an episode of evaluation."""
+        return self.episodes.evaluation_horizon or self.episodes.horizon
+
+
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -128,17 +217,13 @@ def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
     """Return the settings classes of a run by section, in the order of the help."""
     env = find_environment(run.env)
     body = {"body": env.body.Options} if isinstance(env, Environment) and env.body.Options is not Settings else {}
-    of_episodes = {"episodes": EpisodeSettings, "evaluation": EvaluationSettings}
-    first: dict[str, type[Settings]] = {"run": RunSettings, "workers": WorkerSettings}
-    return {**first, **algorithm_of(run).sections, "environment": env.options, **body, **of_episodes}
+    last = {name: _OF_EVERY_RUN[name] for name in ("episodes", "evaluation")}
+    own = algorithm_of(run).sections
+    return {"run": RunSettings, "workers": WorkerSettings, **own, "environment": env.options, **body, **last}
 
 
 def settings_by_section(run: RunSettings) -> dict[str, dict[str, Setting]]:
-    """Return the settings of a run by section and name.
-
-    Raises:
-        ConfigError: Settings of different sections have one name, and are not one shared setting.
-    """
+    """Return the settings of a run by section and name."""
     found = with_options(sections_of(run))
     first: dict[str, tuple[str, Setting]] = {}
     for section, settings in found.items():
@@ -161,14 +246,19 @@ def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]
 
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
-    tasks = {str(cls): cls for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    sections = [_OF_EVERY_RUN, tasks, *(each.sections for each in algorithm_classes())]
+    classes = dict.fromkeys(cls for env in ENVIRONMENTS.values() for cls in (env.options, env.body.Options))
+    sections = [_OF_EVERY_RUN, *({"": cls} for cls in classes), *(each.sections for each in algorithm_classes())]
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 
 
 def execution_settings() -> dict[str, Setting]:
     """Return the settings that do not change the numbers of a run, by name."""
     return {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
+
+
+def resumable_settings() -> dict[str, Setting]:
+    """Return the settings that `resume` takes, by name."""
+    return {name: each for name, each in execution_settings().items() if name != "preset"}
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
@@ -185,7 +275,7 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
             continue
         everywhere = known_settings()
         if name not in everywhere:
-            raise unknown_setting(name, here)
+            raise _unknown_setting(name, here)
         raise ConfigError(
             f"{name} is not a setting of a run of {values['env']} with algorithm "
             f"{values.get('algorithm', RunSettings.algorithm)!r}, got {values[name]!r}. Omit {everywhere[name].flag}."
@@ -193,140 +283,10 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
     return sections
 
 
-def unknown_setting(name: str, known: Iterable[str], where: str = "") -> ConfigError:
-    """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
-    close = difflib.get_close_matches(name, known, n=3)
+def _unknown_setting(name: str, known: Mapping[str, Setting]) -> ConfigError:
+    """Return the error for the unknown setting `name`, with the one of its flag or the nearest of the `known` ones."""
+    of_flag = [each.name for each in known.values() if each.flag == flag(name)]
+    close = [*of_flag, *difflib.get_close_matches(name, known, n=3)]
     hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
-    similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
-    return ConfigError(f"unknown setting {name!r}{where}. {hint}{similar}")
-
-
-@dataclass(frozen=True, init=False)
-class TrainConfig:
-    """The settings of a training run in sections: `config.run.seed`. See `shes.runs.config`."""
-
-    run: RunSettings
-    workers: WorkerSettings
-    environment: TaskOptions
-    episodes: EpisodeSettings
-    evaluation: EvaluationSettings
-    sections: Mapping[str, Settings]
-    """All sections by name, these and those of the algorithm."""
-    options: Mapping[str, Mapping[str, Any]]
-    """Options of registered classes, such as backends, by section and name."""
-
-    def __init__(self, sections: Mapping[str, Settings], options: Mapping[str, Mapping[str, Any]]) -> None:
-        self.__dict__.update(sections, sections=sections, options=options)
-
-    @classmethod
-    def of(cls, **values: Any) -> TrainConfig:
-        """Return the configuration with these settings: `TrainConfig.of(env="ant-gather", sigma=0.02)`.
-
-        Raises:
-            ConfigError: A setting is unknown, a value is out of range, or two values do not go together.
-            UnknownNameError: A value is a name that is in no registry.
-        """
-        known = check_names(values)
-        sections = {name: each.of(values) for name, each in sections_of(RunSettings.of(values)).items()}
-        options = {
-            section: {
-                name: each.checked(values.get(name, each.default))
-                for name, each in known[section].items()
-                if name not in setting_fields(type(own))
-            }
-            for section, own in sections.items()
-        }
-        config = cls(sections, options)
-        config._check()
-        return config
-
-    @classmethod
-    def from_dict(cls, sections: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
-        """Return the configuration from the result of `to_dict`. A missing setting has its default.
-
-        Raises:
-            ConfigError: A key is unknown, a value is not allowed, or a shared setting has two values.
-            UnknownNameError: A value is a name that is in no registry.
-        """
-        values: dict[str, Any] = {}
-        for section, own in sections.items():
-            if not isinstance(own, Mapping):
-                raise ConfigError(f"{section!r} must be an object of settings, got {own!r}.")
-            for name, value in own.items():
-                if values.setdefault(name, value) != value:
-                    raise ConfigError(
-                        f"{name} is {values[name]!r} in one section and {value!r} in section {section!r}. "
-                        "It is one setting: give both the same value."
-                    )
-        known = check_names(values)
-        for section, own in sections.items():
-            if section not in known:
-                raise ConfigError(f"a run of {values['env']} has no section of settings {section!r}.")
-            for name in own:
-                if name not in known[section]:
-                    raise unknown_setting(name, known[section], f" in section {section!r}")
-        return cls.of(**values)
-
-    def having(self, **values: Any) -> TrainConfig:
-        """Return a copy with other values of some settings."""
-        return TrainConfig.of(**{**self.values, **values})
-
-    def __getattr__(self, name: str) -> Any:
-        sections = self.__dict__.get("sections", {})
-        raise AttributeError(f"a run has no section of settings {name!r} here; it has {', '.join(sections)}")
-
-    def __contains__(self, section: str) -> bool:
-        return section in self.sections
-
-    @cached_property
-    def values(self) -> dict[str, Any]:
-        """The values of all settings by name."""
-        values = {name: value for own in self.options.values() for name, value in own.items()}
-        for own in self.sections.values():
-            asked = (each.name for each in setting_fields(type(own)).values() if not each.has(Unasked))
-            values |= {name: getattr(own, name) for name in asked}
-        return values
-
-    def setting(self, name: str) -> Setting:
-        """Return the description of setting `name`."""
-        return by_name(settings_by_section(self.run))[name]
-
-    def to_dict(self) -> dict[str, dict[str, Any]]:
-        """Return the settings as JSON types, by section."""
-        return {
-            section: {name: _as_json(self.values[name]) for name in settings}
-            for section, settings in settings_by_section(self.run).items()
-        }
-
-    def numbers(self) -> dict[str, Any]:
-        """Return the settings that change the numbers of a run, by name, as JSON types."""
-        settings = by_name(settings_by_section(self.run))
-        return {name: _as_json(self.values[name]) for name, each in settings.items() if not each.has(Execution)}
-
-    @property
-    def algorithm(self) -> type[Algorithm[Any]]:
-        """The class of the run's algorithm."""
-        return algorithm_of(self.run)
-
-    @property
-    def level_names(self) -> tuple[str, ...]:
-        """The names of the levels of the run."""
-        return self.algorithm.level_names
-
-    @property
-    def evaluation_steps(self) -> int:
-        """Control steps in an episode of evaluation."""
-        return self.episodes.evaluation_horizon or self.episodes.horizon
-
-    def _check(self) -> None:
-        """Raise ConfigError for settings that do not go together."""
-        if self.workers.device != "cpu" and find_environment(self.run.env).has_own_physics:
-            raise ConfigError(
-                f"device is {self.workers.device!r}, but {self.run.env} has physics of its own: it runs on the CPU "
-                "alone. Set --device cpu."
-            )
-        self.algorithm.check(self)
-
-
-def _as_json(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+    similar = f" Similar: {', '.join(close[1:])}." if close[1:] and not of_flag else ""
+    return ConfigError(f"unknown setting {name!r}. {hint}{similar}")

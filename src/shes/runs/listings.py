@@ -2,72 +2,54 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from shes.errors import RunFolderError, ShesError
-from shes.types import Listing, Table, facts_listing
+from shes.errors import ShesError
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import FreshEvaluation, read_agent, shipped_name, shipped_names
-from shes.runs.tables import read_csv
+from shes.runs.shipped import read_agent, shipped_name, shipped_names
+from shes.types import Listing, Table, facts_listing
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunState:
-    """The state of a run. Fields that cannot be read are None."""
+    """The state of a run. Of one that cannot be read, all but `run` and `problem` is None."""
 
     run: str
-    env: str | None
-    algorithm: str | None
-    preset: str | None
-    seed: int | None
-    generation: int | None
+    env: str | None = None
+    algorithm: str | None = None
+    preset: str | None = None
+    seed: int | None = None
+    generation: int | None = None
     """Number of finished generations."""
-    generations: int | None
+    generations: int | None = None
     """Number of generations after which it ends."""
-    env_steps: int | None
-    best_score: float | None
+    env_steps: int | None = None
+    best_score: float | None = None
     """Score of the best evaluation; None before the first one."""
-    state: Literal["running", "finished", "stopped", "unreadable"]
+    state: Literal["running", "finished", "stopped", "unreadable"] = "unreadable"
     """A `stopped` run can be resumed; settings or checkpoint of an `unreadable` one cannot be read."""
     problem: str | None = None
     """Why the run is unreadable."""
 
 
 def run_state(folder: RunFolder) -> RunState:
-    """Return the state of the run in `folder`, by its tables if its settings or its checkpoint cannot be read."""
+    """Return the state of the run in `folder`."""
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
         config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
     except ShesError as error:
-        return _state_by_tables(folder, str(error))
+        return RunState(run=str(folder.path), problem=str(error))
     is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
-    names = ("env", "algorithm", "preset", "seed", "generations")
     return RunState(
         run=str(folder.path),
-        **{name: getattr(config.run, name) for name in names},
+        **{each: getattr(config.run, each) for each in ("env", "algorithm", "preset", "seed", "generations")},
         generation=checkpoint.generation,
         env_steps=checkpoint.env_steps,
         best_score=checkpoint.best.score if checkpoint.best.generation >= 0 else None,
         state="running" if folder.is_locked() else "finished" if is_over else "stopped",
     )
-
-
-def _state_by_tables(folder: RunFolder, problem: str) -> RunState:
-    """Return the state of a run that cannot be read because of `problem`."""
-    run: dict[str, Any] = {}
-    with suppress(ShesError, KeyError, TypeError, ValueError):
-        run = dict(folder.read_record()["config"]["run"])
-    reached: dict[str, Any] = {"generation": None, "env_steps": None, "best_score": None}
-    with suppress(RunFolderError, KeyError, ValueError, OverflowError):
-        progress = read_csv(folder.progress)
-        reached |= {name: int(progress[name][-1]) for name in ("generation", "env_steps")}
-        reached["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
-    names = ("env", "algorithm", "preset", "seed", "generations")
-    told = {name: run.get(name) for name in names}
-    return RunState(run=str(folder.path), **told, **reached, state="unreadable", problem=problem)
 
 
 def list_runs(folder: Path | str = "runs") -> Listing:
@@ -83,7 +65,10 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
     if agents:
-        rows = [(name, it.env, *_scores(it.evaluation), f"{it.env_steps:,}") for name, it in agents.items()]
+        rows = [
+            (name, it.env, *("-" if found is None else found.score for found in it.evaluations), f"{it.env_steps:,}")
+            for name, it in agents.items()
+        ]
         parts += [
             Table(("agent", "environment", "score", "constant", "random", "steps"), rows),
             "Score: mean and standard error over fresh episodes. Steps: environment steps of training.",
@@ -94,16 +79,12 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     return Listing({"runs": [asdict(run) for run in runs], "agents": shown}, parts)
 
 
-def _scores(found: FreshEvaluation) -> list[str]:
-    """Return the score of an agent, and those of the other controllers."""
-    return ["-" if each is None else each.score for each in (found, found.constant, found.random)]
-
-
 def _row(run: RunState) -> tuple[str, ...]:
     """Return the cells of a run's row."""
-    done, total = ("-" if each is None else each for each in (run.generation, run.generations))
+    if run.problem is not None:
+        return run.run, "-", "- / -", "-", run.state
     score = "-" if run.best_score is None else f"{run.best_score:.2f}"
-    return run.run, str(run.env or "-"), f"{done} / {total}", score, run.state
+    return run.run, str(run.env), f"{run.generation} / {run.generations}", score, run.state
 
 
 def describe_run(run: Path | str, *, full: bool = False) -> Listing:
@@ -112,9 +93,6 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
     Args:
         run: The run folder, or the name of a shipped agent.
         full: Show all settings. JSON always has them.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
     """
     folder = RunFolder.open(run)
     record, config = folder.read_record(), folder.read_config()
@@ -134,9 +112,7 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         facts = {"agent": name, "algorithm": config.run.algorithm, "levels": levels, **agent.to_dict()}
         shown = {each: facts[each] for each in ("agent", "env", "algorithm", "levels", "env_steps", "hours", "cores")}
         shown["score"] = f"{agent.evaluation.score} over {agent.evaluation.episodes} fresh episodes"
-        for each in (agent.evaluation.constant, agent.evaluation.random):
-            if each is not None:
-                shown[f"score, {each.controller}"] = each.score
+        shown |= {f"score, {each.controller}": each.score for each in agent.evaluations[1:] if each is not None}
         parts = [f"It {agent.description.rstrip('.')}. Trained by:", *agent.commands]
     settings = {each: value for section in config.to_dict().values() for each, value in section.items()} if full else {}
     listing = facts_listing({**shown, **settings})

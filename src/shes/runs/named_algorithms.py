@@ -57,10 +57,6 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
     Args:
         name: Lower-case words joined by `-` or `_`.
         algorithm: A complete subclass of `Algorithm`, made from one argument, the `Problem`.
-
-    Raises:
-        ConfigError: The class is not a complete subclass, or the name, or that of a section or an option, is malformed
-            or already taken.
     """
     ALGORITHMS.register(name, algorithm)
 
@@ -79,17 +75,15 @@ def algorithm_classes() -> tuple[type[Algorithm[Any]], ...]:
 class _PresetNames(Collection[str]):
     """The names at the time of asking, because an algorithm may be registered later."""
 
-    def _names(self) -> dict[str, None]:
-        return dict.fromkeys(name for each in (PRESETS, *(cls.presets for cls in algorithm_classes())) for name in each)
-
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names())
+        presets = (PRESETS, *(cls.presets for cls in algorithm_classes()))
+        return iter(dict.fromkeys(name for each in presets for name in each))
 
     def __contains__(self, name: object) -> bool:
-        return name in self._names()
+        return any(each == name for each in self)
 
     def __len__(self) -> int:
-        return len(self._names())
+        return sum(1 for _ in self)
 
 
 PRESET_NAMES = _PresetNames()

@@ -6,9 +6,8 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
-from shes.settings import checked
 from shes.drawing.window import open_window
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.viewing.playback import Playback
 
 
