@@ -77,6 +77,7 @@ def test_a_run_has_at_most_as_many_settings_as_can_be_read():
 REFUSED = [
     # Settings that no run can have; the message.
     ({"sigmma": 1}, r"unknown setting 'sigmma'\. Did you mean 'sigma'\?( Similar: [a-z_, ]+\.)?$"),
+    ({"workers": 4}, r"unknown setting 'workers'\. Did you mean 'num_workers'\?$"),
     ({"qqq": 1}, r"unknown setting 'qqq'\. `shes train ENV --help-all` lists the settings\.$"),
     ({"env": "ant-gathr"}, r"unknown environment 'ant-gathr'\. Did you mean 'ant-gather'\?"),
     ({"env": 3}, r"env must be a name, got 3\. Set --env"),

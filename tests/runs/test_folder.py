@@ -133,7 +133,7 @@ def test_a_checkpoint_of_other_settings_is_refused_by_naming_them(run_copy):
     checkpoint = folder.load("last")
     checkpoint.numbers["sigma"] = 9.0
     save_checkpoint(folder.checkpoint_path("last"), checkpoint)
-    message = r"last\.npz is of another run: sigma is 9\.0 there, not .*Put back the checkpoint"
+    message = r"last\.npz is of another run: sigma is 9\.0, not .*Put back the checkpoint"
     with pytest.raises(CheckpointError, match=message):
         folder.load("last")
 

@@ -112,7 +112,7 @@ def test_minutes_are_those_of_each_run_and_one_whose_time_is_up_has_ended(tmp_pa
     for config in record["runs"].values():
         config["run"] |= {"minutes": 1e-9, "generations": 3}
     (path / "runs.json").write_text(json.dumps(record))
-    assert "have ended" in refused(capsys, "resume", path)
+    assert f"have ended. To go on: shes resume {path} --minutes 1e-09" in refused(capsys, "resume", path)
     assert main(["resume", str(path), "--minutes", "10"]) == 0
     assert generations(path) == {"seed-4": 3, "seed-5": 3}
 
@@ -221,6 +221,8 @@ def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
     for name, message in (("population-size", "GB are free. Lower"), ("noise-table-size", "noise_table_size is ")):
         sweep = ["--sweep", f"{name}=8,{10**15}", "--workers", "1"]
         assert message in refused(capsys, *base[:4], "--out", tmp_path / "all", *sweep)
+    for words in ((), ("--seed", "1", "2")):
+        assert "out must be the path of a folder, got ''" in refused(capsys, *base[:-2], *words, "--out", "")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -46,7 +46,7 @@ def test_a_name_is_found_and_a_path_wins_over_it(elsewhere, run_copy):
 
 
 NOT_THERE = {
-    "a name": ("ant-wlker", r"Or name a shipped agent: ant-walker, .*\.$"),
+    "a name": ("ant-wlker", r"Or name a shipped agent: ant-walker, .*\. Did you mean 'ant-walker'\?$"),
     "a path of text": ("./ant-walker", r"\(its --out\)\.$"),
     "a path": (Path("ant-walker"), r"A pathlib\.Path is always a path: .*give the string 'ant-walker'\.$"),
 }

@@ -196,8 +196,9 @@ class RunFolder:
         mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         theirs = {name: checkpoint.numbers.get(name, config.setting(name).default) for name in mine}
-        if others := differing(theirs, mine):
-            raise CheckpointError(f"{path} is of another run: {others}. Put back the checkpoint of this run.")
+        if others := [name for name in sorted(mine) if theirs[name] != mine[name]]:
+            shown = ", ".join(f"{name} is {theirs[name]!r}, not {mine[name]!r}" for name in others[:3])
+            raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
         if seed != config.run.seed:
             raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
         return replace(checkpoint, numbers=mine)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,7 +15,7 @@ from shes.types import Listing, Table, facts_listing
 
 @dataclass(frozen=True, kw_only=True)
 class RunState:
-    """The state of a run. Of one that cannot be read, all but `run` and `problem` is None."""
+    """The state of a run. Fields that cannot be read are None."""
 
     run: str
     env: str | None = None
@@ -34,17 +35,23 @@ class RunState:
     """Why the run is unreadable."""
 
 
+_FACTS = ("env", "algorithm", "preset", "seed", "generations")
+
+
 def run_state(folder: RunFolder) -> RunState:
     """Return the state of the run in `folder`."""
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
         config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
     except ShesError as error:
-        return RunState(run=str(folder.path), problem=str(error))
+        run: dict[str, Any] = {}
+        with suppress(ShesError, KeyError, TypeError, ValueError):
+            run = dict(folder.read_record()["config"]["run"])
+        return RunState(run=str(folder.path), **{each: run.get(each) for each in _FACTS}, problem=str(error))
     is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
     return RunState(
         run=str(folder.path),
-        **{each: getattr(config.run, each) for each in ("env", "algorithm", "preset", "seed", "generations")},
+        **{each: getattr(config.run, each) for each in _FACTS},
         generation=checkpoint.generation,
         env_steps=checkpoint.env_steps,
         best_score=checkpoint.best.score if checkpoint.best.generation >= 0 else None,
@@ -81,10 +88,9 @@ def list_runs(folder: Path | str = "runs") -> Listing:
 
 def _row(run: RunState) -> tuple[str, ...]:
     """Return the cells of a run's row."""
-    if run.problem is not None:
-        return run.run, "-", "- / -", "-", run.state
+    done, total = ("-" if each is None else each for each in (run.generation, run.generations))
     score = "-" if run.best_score is None else f"{run.best_score:.2f}"
-    return run.run, str(run.env), f"{run.generation} / {run.generations}", score, run.state
+    return run.run, str(run.env or "-"), f"{done} / {total}", score, run.state
 
 
 def describe_run(run: Path | str, *, full: bool = False) -> Listing:

@@ -55,7 +55,7 @@ def with_display(listener: AnyListener, progress: bool | None) -> Iterator[AnyLi
 
 
 class ProgressDisplay:
-    """A `Listener` that shows generation, returns of the levels, evaluation score, steps per second and time left."""
+    """A listener that shows generation, returns of the levels, evaluation score, steps per second and time left."""
 
     def __init__(self, console: Console) -> None:
         """Show on `console`; use as a context manager."""

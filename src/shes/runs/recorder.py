@@ -13,9 +13,8 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -37,38 +36,23 @@ class StopTraining(Exception):  # noqa: N818 - a request, as StopIteration is
     """Raised by a listener to end the run after this generation, as if it were over."""
 
 
-class Listener(Protocol):
-    """Receives the progress of a run. A listener has any of these methods; one that returns True ends the run."""
-
-    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> bool | None:
-        """Receive the start of the run at `path`, after `generation`."""
-
-    def on_generation(self, row: Row) -> bool | None:
-        """Receive a row of `progress.csv`."""
-
-    def on_evaluation(self, row: Row) -> bool | None:
-        """Receive a row of `evaluation.csv`."""
-
-    def on_event(self, event: str) -> bool | None:
-        """Receive a warning: a silent or lost worker, diverged episodes, or one of the simulator."""
-
-
 AnyListener: TypeAlias = "Callable[[Row], Any] | object | Sequence[Any] | None"
-"""A function of a row of `progress.csv`, an object with any method of `Listener`, several of these, or None."""
+"""A function of a row of `progress.csv`, an object with any of the methods below, several of these, or None."""
 
 _METHODS = {
-    name: tuple(inspect.signature(method).parameters)[1:]
-    for name, method in vars(Listener).items()
-    if name.startswith("on_")
+    "on_start": ("path", "config", "generation", "num_workers"),  # of the run, which begins after `generation`
+    "on_generation": ("row",),  # of progress.csv
+    "on_evaluation": ("row",),  # of evaluation.csv
+    "on_event": ("event",),  # a warning: a silent or lost worker, diverged episodes, or one of the simulator
 }
-"""Parameters of every method of a listener."""
+"""Methods of a listener, with their parameters. One that returns True ends the run."""
 
 
 class Listeners:
     """The listeners of a run."""
 
     def __init__(self, listener: AnyListener) -> None:
-        """Raise ConfigError or UnknownNameError unless each is a function of a row or has methods of `Listener`."""
+        """Raise ConfigError or UnknownNameError unless each is a function of a row or has some of these methods."""
         each = listener if isinstance(listener, list | tuple) else () if listener is None else (listener,)
         self._methods = [_methods(one) for one in each]
 
@@ -104,11 +88,12 @@ def _methods(listener: Any) -> dict[str, Callable[..., Any]]:
         shown = getattr(method, "__qualname__", repr(method))
         if inspect.iscoroutinefunction(method):
             raise ConfigError(f"listener {shown} must be a plain function, not an async one.")
-        with suppress(ValueError):  # some built-in functions have no signature
-            try:
-                inspect.signature(method).bind(*_METHODS[name])
-            except TypeError as error:
-                raise ConfigError(f"listener {shown} must take ({', '.join(_METHODS[name])}): {error}.") from error
+        try:
+            inspect.signature(method).bind(*_METHODS[name])
+        except TypeError as error:
+            raise ConfigError(f"listener {shown} must take ({', '.join(_METHODS[name])}): {error}.") from error
+        except ValueError:  # some built-in functions have no signature
+            pass
     return found
 
 

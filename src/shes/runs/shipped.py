@@ -5,6 +5,7 @@ Each is a small run folder below `shipped/`, with `agent.json` beside its `confi
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 from collections.abc import Mapping
@@ -133,6 +134,8 @@ def shipped_hint(run: Path | str) -> str:
         if os.path.lexists(given):
             return f" It hides the shipped agent {given}: rename it, or work in another folder, to use that one."
         return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."
-    return (
-        f" Or name a shipped agent: {', '.join(nearest_first(given, names))}." if names and os.sep not in given else ""
-    )
+    if not names or os.sep in given:
+        return ""
+    close = difflib.get_close_matches(given, names, n=1)
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    return f" Or name a shipped agent: {', '.join(nearest_first(given, names))}.{hint}"

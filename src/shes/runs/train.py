@@ -222,16 +222,14 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
 
 def check_resumable(names: Iterable[str]) -> None:
     """Raise ConfigError unless `resume` takes the settings called `names`."""
-    resumable, known = resumable_settings(), known_settings()
-    allowed = ", ".join(sorted(each.flag for each in resumable.values()))
+    allowed, known = resumable_settings(), known_settings()
+    takes = f"resume takes {', '.join(sorted(each.flag for each in allowed.values()))}."
     for name in names:
         if name not in known:
-            raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
-        if name not in resumable:
-            raise ConfigError(
-                f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
-                "Start another run to change it."
-            )
+            raise ConfigError(f"unknown setting {name!r}. {takes}")
+        if name not in allowed:
+            fix = "Start another run to change it."
+            raise ConfigError(f"{known[name].flag} would change the numbers of the run; {takes} {fix}")
 
 
 @contextmanager
