@@ -183,6 +183,6 @@ def test_a_record_that_cannot_be_read_is_one_clear_error(run_copy, case):
         with pytest.raises(error, match=rf"config\.json.*{message}"):
             go_on(run_copy)
     state = run_state(RunFolder(run_copy))
-    assert (state.state, state.generation) == ("unreadable", None)
+    assert (state.state, state.generation, state.env_steps) == ("unreadable", 4, 640)  # by its tables
     assert "config.json" in state.problem
     assert path.read_bytes() == before

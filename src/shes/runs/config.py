@@ -19,7 +19,7 @@ from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown, flag
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown
 from shes.sim.warp_device import DEVICES
 
 
@@ -284,9 +284,8 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
 
 
 def _unknown_setting(name: str, known: Mapping[str, Setting]) -> ConfigError:
-    """Return the error for the unknown setting `name`, with the one of its flag or the nearest of the `known` ones."""
-    of_flag = [each.name for each in known.values() if each.flag == flag(name)]
-    close = [*of_flag, *difflib.get_close_matches(name, known, n=3)]
+    """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
+    close = difflib.get_close_matches(name, known, n=3)
     hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
-    similar = f" Similar: {', '.join(close[1:])}." if close[1:] and not of_flag else ""
+    similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
     return ConfigError(f"unknown setting {name!r}. {hint}{similar}")

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from shes.errors import ShesError
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent, shipped_name, shipped_names
+from shes.runs.tables import read_csv
 from shes.types import Listing, Table, facts_listing
 
 
@@ -44,10 +45,15 @@ def run_state(folder: RunFolder) -> RunState:
     try:
         config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
     except ShesError as error:
-        run: dict[str, Any] = {}
-        with suppress(ShesError, KeyError, TypeError, ValueError):
-            run = dict(folder.read_record()["config"]["run"])
-        return RunState(run=str(folder.path), **{each: run.get(each) for each in _FACTS}, problem=str(error))
+        told: dict[str, Any] = {}
+        faults = (ShesError, KeyError, TypeError, AttributeError, ValueError, OverflowError)
+        with suppress(*faults):
+            told = {each: folder.read_record()["config"]["run"].get(each) for each in _FACTS}
+        with suppress(*faults):  # by its tables
+            progress = read_csv(folder.progress)
+            told |= {each: int(progress[each][-1]) for each in ("generation", "env_steps")}
+            told["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
+        return RunState(run=str(folder.path), **told, problem=str(error))
     is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
     return RunState(
         run=str(folder.path),
