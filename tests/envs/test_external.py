@@ -12,8 +12,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.drawing.make_drawer import make_drawer
 from shes.envs.bodies.point import Point
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
-from shes.envs.named_environments import find_environment, make_task, register_environment, register_external
+from shes.envs.named_environments import (
+    EXTERNAL_ENVIRONMENTS,
+    INCLUDED,
+    find_environment,
+    make_task,
+    register_environment,
+    register_external,
+)
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from shes.runs.make_config import make_config
 from tests.e2e.own_classes import Corner

@@ -8,11 +8,9 @@ import pytest
 
 import shes  # registers
 from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun, FlagrunOptions
 from shes.envs.tasks.gather import Gather
-from shes.envs.tasks.maze import Maze, MazeOptions
-from shes.envs.tasks.push import Push
+from shes.envs.tasks.mazes import Fall, Maze, MazeOptions, Push
 from shes.envs.tasks.target_task import BlockOptions
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.errors import ConfigError

@@ -170,8 +170,8 @@ def test_gather_equals_its_reference_among_objects(spec):
     task = make_task("ant-gather", 20, TaskOptions(spec=spec))
     references = [make_reference(task) for _ in range(20)]
     assert 3 < compare(task, references, 40, draw_lasting, arrange=launch_among_objects) < 60
-    assert task.food.sum() > 10
-    assert task.poison.sum() > 10
+    assert task.counts["food"].sum() > 10
+    assert task.counts["poison"].sum() > 10
 
 
 @pytest.mark.slow
