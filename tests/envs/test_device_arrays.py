@@ -97,8 +97,8 @@ def test_gather_on_a_device_pays_the_same(spec):
                 task.sim.qpos[episode, 0], task.sim.qpos[episode, 1] = objects[episode, number % 2, number].tolist()
             task.sim.qpos[number, 2] = 1.5  # has fallen
         play(pair, 1)
-    assert pair[0].food.sum() > NUM_EPISODES
-    assert pair[0].poison.sum() > NUM_EPISODES
+    assert pair[0].counts["food"].sum() > NUM_EPISODES
+    assert pair[0].counts["poison"].sum() > NUM_EPISODES
     assert pair[0].score.any()
 
 

@@ -8,11 +8,10 @@ import pytest
 
 import shes  # registers
 from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.flagrun import Flagrun, FlagrunOptions
+from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.mazes import Fall, Maze, MazeOptions, Push
-from shes.envs.tasks.target_task import BlockOptions
-from shes.envs.tasks.task_options import FallOptions, TaskOptions
+from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
 from shes.settings import setting_fields
 
@@ -94,25 +93,6 @@ FIXED = {"target": (1, 2), "target_sampling": "free_cells"}
 def test_options_that_do_not_fit_together_are_refused(name, options, message):
     with pytest.raises(ConfigError, match=message):
         make_task(name, 1, ENVIRONMENTS[name].options(**options))
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        MazeOptions(waypoints=(8.0, 0.0), evaluation=True),
-        MazeOptions(spec="hiro", target=[1, 2]),
-        MazeOptions(target_sampling="free_cells"),
-        BlockOptions(),
-        FlagrunOptions(),
-    ],
-)
-def test_checked_options_are_checked_again_without_a_change(options):
-    assert type(options)(**vars(options)) == options
-    assert options.integrator == {"hiro": "rk4", "shes": "euler"}[options.spec]
-
-
-def test_options_that_every_task_has_suffice():
-    assert make_task("point-maze", 1, TaskOptions(reset_noise=0.0)).options == MazeOptions(reset_noise=0.0)
 
 
 def test_the_reward_is_the_way_left_through_the_waypoints():
