@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -41,8 +41,7 @@ SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
 """Makes a simulator from a model and the number of simulations."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TaskDescription:
+class TaskDescription(NamedTuple):
     """The task in words, for the documentation and `shes envs`."""
 
     reward: str
