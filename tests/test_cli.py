@@ -19,8 +19,7 @@ import pytest
 from experiments.ship import ship
 from shes.cli import main
 from shes.cli.command_table import find_command
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.envs.named_environments import ENVIRONMENTS
+from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS
 from shes.errors import ConfigError
 from shes.runs import shipped
 from shes.runs.folder import RunFolder

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.spaces import Box
 
 import shes
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.named_environments import EXTERNAL_ENVIRONMENTS
 from shes.errors import DivergenceError
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder

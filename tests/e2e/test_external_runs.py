@@ -14,7 +14,7 @@ from PIL import Image
 
 import shes
 from shes.cli import main
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
+from shes.envs.named_environments import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.errors import ConfigError, ShesError
 from shes.runs.evaluate import evaluation_seeds
 from shes.runs.make_config import make_config

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from shes.algorithms.contract import Preset
-from shes.envs.builtin import BUILTIN_ENVIRONMENTS
+from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.es.statistics import CLIP
 from shes.settings import Example, Ge, Gt, Le, Lt, Settings, Shown
 from shes.types import F64Array

@@ -23,8 +23,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from shes.cli.command_table import COMMANDS, find_command
 from shes.cli.output import show, show_steps
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.envs.named_environments import ENVIRONMENTS, GYMNASIUM
+from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
