@@ -1,4 +1,4 @@
-"""Columns of `progress.csv` for a generation of an evolution strategy. `docs/reference/columns.md` explains them."""
+"""Columns of `progress.csv` for a generation of an evolution strategy. `docs/algorithm.md` explains them."""
 
 from __future__ import annotations
 
