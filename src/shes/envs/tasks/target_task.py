@@ -40,9 +40,8 @@ class TargetOptions(FallOptions):
     evaluation_target: Coordinates | None = None
     """Target of evaluation in metres; none is the task's own."""
     waypoints: Coordinates | None = None
-    """Points on the way to the target, one after another, each passed within 3 m, or within 6 m if the next one is
-    nearer; help for training only. The reward is minus the length of the way that is left through them. Evaluation does
-    not use them."""
+    """Points on the path to the target, in order. Each is passed within 3 m, or within 6 m if the next one is nearer.
+    The reward of training is minus the remaining length of the path. Evaluation does not use them."""
 
     @property
     def has_random_target(self) -> bool:
