@@ -194,7 +194,7 @@ def workers_of(pid):
             words = process.cmdline()
         except (psutil.NoSuchProcess, psutil.ZombieProcess):
             continue
-        if "shes.backends.process_worker" in words and words[-1] == str(pid):
+        if "shes.backends.processes" in words and words[-1] == str(pid):
             found.append(process)
     return [process.pid for process in sorted(found, key=lambda process: process.create_time())]
 
