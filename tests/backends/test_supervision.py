@@ -5,7 +5,7 @@ import re
 import pytest
 
 from shes.backends import supervision
-from shes.backends.supervision import MAX_LOSSES, RESTART_S, RemoteWorker, SupervisingBackend
+from shes.backends.supervision import MAX_LOSSES, RemoteWorker, SupervisingBackend
 from shes.errors import WorkerError
 
 
@@ -160,15 +160,14 @@ def test_a_lost_node_does_not_look_like_workers_that_keep_dying():
     assert run(backend, [0, 1, 2, 3]) == [0, 1, 2, 3]
 
 
-def test_one_that_fails_to_start_is_started_again_after_a_pause():
+def test_one_that_fails_to_start_is_started_again_with_the_next_map():
     backend = ScriptedBackend(2, fail_at_start=[2, 3])
     run(backend, [0, 1, 2, 3])
-    backend.workers[0].is_gone = True
-    assert run(backend, [*range(9), RESTART_S - 2.0]) == [*range(9), RESTART_S - 2.0]
-    assert (backend.num_started, len(backend.workers)) == (3, 1)  # the first one's successor has failed
-    run(backend, [RESTART_S])
-    assert (backend.num_started, len(backend.workers)) == (4, 1)  # and the next one
-    run(backend, [2 * RESTART_S])
+    for started in (3, 4):  # the first one's successor fails, and the next one
+        backend.workers[0].is_gone = started == 3
+        run(backend, range(9))
+        assert (backend.num_started, len(backend.workers)) == (started, 1)
+    run(backend, range(9))
     assert (backend.num_started, len(backend.workers)) == (5, 2)
 
 

@@ -74,17 +74,14 @@ class Backend(ABC):
     Options: ClassVar[type[Settings]] = Settings
     """Settings of this backend. Mark each field with `Execution`: a backend never changes the numbers of a run."""
     num_workers: int = 1
-    on_event: Callable[[str], None] | None = None
-    """Receives messages about silent, lost and replaced workers, if any function is set."""
 
     @classmethod
     def all_workers(cls) -> int:
         """Return the number of workers for `--workers 0`: one for every core that this process may use."""
         return num_cores()
 
-    @staticmethod  # noqa: B027 - most need no package
-    def check_installed() -> None:
-        """Check that the packages it needs are installed; raise MissingExtraError if one is not."""
+    def on_event(self, event: str, /) -> None:  # noqa: B027 - nobody has to listen
+        """Receive a message about silent, lost and replaced workers; replaced by whoever wants to hear of them."""
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:

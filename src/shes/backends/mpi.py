@@ -14,7 +14,7 @@ from typing import Any
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.serving import Answer, ClosedError, ParentConnection, pickle_factory, serve, use_one_thread
-from shes.backends.supervision import REPORTED_S, RemoteWorker, SupervisingBackend
+from shes.backends.supervision import RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError, WorkerError
 
 _TAG = 4021  # of all messages of this backend
@@ -50,11 +50,6 @@ class MpiBackend(SupervisingBackend):
         self._served: list[Any] = []  # one future for every rank
         self.start_workers()
 
-    @staticmethod
-    def check_installed() -> None:
-        """Check that mpi4py and an MPI library are installed; see the base class."""
-        _import_mpi()
-
     def start_workers(self) -> None:
         """Begin to serve in all ranks, unless they do; raise ConfigError if another backend has the ranks."""
         if self.workers:
@@ -76,11 +71,8 @@ class MpiBackend(SupervisingBackend):
         for worker in self.workers:
             worker.state = self._state
             worker.answer(("broadcast", len(self._state)))
-        request, report_s = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0), monotonic() + REPORTED_S
+        request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
         while not request.Test():
-            if monotonic() >= report_s:
-                report_s += REPORTED_S
-                self.tell("the state has not reached every MPI rank yet; the run waits")
             sleep(_SHORTEST_NAP_S)
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -121,10 +113,6 @@ class MpiBackend(SupervisingBackend):
             self._pool.shutdown()
             self._pool = None
             _HELD.remove(self)
-
-    def is_awaited(self, worker: RemoteWorker) -> bool:
-        """Return whether the worker is not idle: all ranks receive a broadcast together."""
-        return not worker.is_idle
 
 
 class _Rank(RemoteWorker):

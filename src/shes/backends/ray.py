@@ -59,11 +59,6 @@ class RayBackend(SupervisingBackend):
         self._actor = self._ray.remote(**options)(_RayActor)
         self.start_workers()
 
-    @staticmethod
-    def check_installed() -> None:
-        """Check that Ray is installed; see the base class."""
-        _import_ray()
-
     @classmethod
     def all_workers(cls) -> int:
         """Return no limit: the cluster decides, and may grow."""
@@ -85,27 +80,35 @@ class RayBackend(SupervisingBackend):
         return self._stored[content]
 
     def start_workers(self) -> None:
-        """Create a worker for every CPU that has none, of nodes that have joined, too. Ray waits until it is free."""
+        """Create a worker for every CPU of the cluster that has none. Ray starts it when the CPU is free."""
         if not self._ray.is_initialized():
             _join(self._ray)
             self._has_joined = True
-        self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
+        self.num_workers = self._num_cpus()
         while len(self.workers) < self.num_workers:
             actor = self._actor.options(scheduling_strategy="SPREAD").remote(self.store(self._factory), import_path())
             self.workers.append(_RayWorker(self, self._ray, actor))
 
+    def _num_cpus(self) -> int:
+        return max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
+
+    def look_around(self) -> None:
+        """Use the nodes that have joined the cluster. Tell of one that has no CPU for any worker."""
+        if self._num_cpus() > self.num_workers:
+            self.start_workers()
+        if any(worker.is_started for worker in self.workers):
+            self._waits_since = monotonic()
+        elif monotonic() >= self._waits_since + REPORTED_S:
+            self._waits_since = monotonic()
+            self.on_event("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
+
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
-        """Wait at most `timeout_s` for requests, and tell if no worker has started for long; see the base class."""
+        """Wait at most `timeout_s` for requests; return the workers that have sent some, or are gone."""
         found: list[RemoteWorker] = []
         with suppress(Empty):
             found.append(self.ready.get(timeout=timeout_s))
             while True:
                 found.append(self.ready.get_nowait())
-        if found or any(worker.is_started for worker in self.workers):
-            self._waits_since = monotonic()
-        elif monotonic() >= self._waits_since + REPORTED_S:
-            self._waits_since = monotonic()
-            self.tell("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
         return found
 
     def advice(self, ending: str) -> str:

@@ -21,8 +21,6 @@ MAX_LOSSES = 3
 """The run ends when so many workers were lost with the same task, or so many per worker in a row without a result."""
 REPORTED_S = 60.0
 """Seconds without a sign of life after which a worker is reported; less if it is replaced sooner."""
-RESTART_S = 10.0
-"""Pause before workers are started again if one has failed to start while others work."""
 CLOSE_S = 5.0
 """Seconds that workers have to close their environments before they are killed."""
 _TICK_S = 1.0
@@ -81,7 +79,6 @@ class SupervisingBackend(Backend):
         self.workers: list[Any] = []
         """The workers that are not known to be gone."""
         self._waited_s = 0.0  # for requests, since silent workers were last looked for
-        self._pause_s = 0.0  # until workers may be started again
         self._losses_in_a_row = 0
         self._most_workers = 0  # a cluster that has lost a node has fewer
         self._state: bytes | None = None
@@ -89,7 +86,7 @@ class SupervisingBackend(Backend):
 
     @abstractmethod
     def start_workers(self) -> None:
-        """Start the workers that are missing from `workers`; called once a second while there are tasks."""
+        """Start the workers that are missing from `workers`: at the start of a `map`, and after a loss."""
 
     @abstractmethod
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -98,6 +95,9 @@ class SupervisingBackend(Backend):
     def advice(self, ending: str) -> str:
         """Return advice to the user about workers that keep ending in this way."""
         return "--backend serial does the same work in this process."
+
+    def look_around(self) -> None:
+        """Do what is due between requests; called once a second while there are tasks."""
 
     def broadcast(self, state: Any) -> None:
         """Keep `state` for every worker that is given tasks from now on."""
@@ -108,7 +108,7 @@ class SupervisingBackend(Backend):
         self._begin_map(tasks)
         is_finished, next_number = False, 0
         try:
-            self._restart_workers()
+            self.start_workers()
             self._engage()
             while next_number < len(tasks):
                 self.serve_requests()
@@ -140,20 +140,11 @@ class SupervisingBackend(Backend):
             for worker in workers:
                 worker.end()
 
-    def tell(self, event: str) -> None:
-        """Tell the user of an event, if anyone listens; see `on_event`."""
-        if self.on_event is not None:
-            self.on_event(event)
-
     def _begin_map(self, tasks: Sequence[Any]) -> None:
         self._tasks = tasks
         self._left = deque(range(len(tasks)))
         self._results: dict[int, Any] = {}
         self._losses: Counter[int] = Counter()  # workers that were lost with each task
-
-    def _restart_workers(self) -> None:
-        if self._pause_s <= 0 or not self.workers:
-            self.start_workers()
 
     def _engage(self) -> None:
         """Tell idle workers of the tasks, as long as those that will ask for the first time leave some for others.
@@ -193,8 +184,7 @@ class SupervisingBackend(Backend):
             for worker in [each for each in self.workers if each.is_started and not each.is_idle]:
                 worker.silent_s += waited_s
                 self._judge_silence(worker)
-            self._pause_s -= waited_s
-            self._restart_workers()
+            self.look_around()
 
     def _handle(self, worker: RemoteWorker, kind: str, *content: Any) -> None:
         """Handle a request; see `shes.backends.serving`."""
@@ -241,7 +231,7 @@ class SupervisingBackend(Backend):
         elif not worker.is_reported and silent_s >= min(REPORTED_S, (limit_s or 2 * REPORTED_S) / 2):
             worker.is_reported = True
             end = "never replaced" if limit_s is None else f"replaced after {limit_s:g} s"
-            self.tell(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
+            self.on_event(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
 
     def _replace(self, worker: RemoteWorker, fault: str, *, is_silent: bool = False) -> None:
         """Replace a worker that is gone or silent, and hand out its tasks before all others.
@@ -250,23 +240,23 @@ class SupervisingBackend(Backend):
         """
         self._most_workers = max(self._most_workers, len(self.workers))
         self.workers.remove(worker)
+        # One that fails to start while others work is started again with the next `map`: its node may lack something.
+        counts = worker.is_ready or not any(other.is_ready for other in self.workers)
+        self._losses_in_a_row += counts
         how = worker.end()
         ending = f"was ended ({fault})" if is_silent else f"died ({how or fault})"
         lost = list(worker.tasks)
         self._left.extendleft(reversed(lost))
         self._losses.update(lost)
-        if worker.is_ready or not any(other.is_ready for other in self.workers):
-            self._losses_in_a_row += 1
-        else:  # on a node that lacks something, maybe: the others work on
-            self._pause_s = RESTART_S
-        self.tell(f"worker {worker.name} {ending}; {len(lost)} tasks are done again")
+        self.on_event(f"worker {worker.name} {ending}; {len(lost)} tasks are done again")
         poison = next((number for number in lost if self._losses[number] >= MAX_LOSSES), None)
         if poison is not None or self._losses_in_a_row >= MAX_LOSSES * self._most_workers:
             when = "without a result" if poison is None else f"on {self._task_text(poison)}"
             advice = "If a step takes so long, use --backend serial." if is_silent else self.advice(ending)
             kept = "Everything up to the last checkpoint is kept."
             raise WorkerError(f"workers keep dying {when}; the last one {ending}. {advice} {kept}")
-        self._restart_workers()
+        if counts:
+            self.start_workers()
         self._engage()
 
     def _task_text(self, number: int) -> str:
