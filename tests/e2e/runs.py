@@ -52,6 +52,20 @@ def train_tiny(path, env="point-gather", **settings):
     return train(env, out=path, **{**TINY, **settings}).path
 
 
+class AfterGeneration:
+    """A listener that calls `action` after generation `number`; 0 is the start."""
+
+    def __init__(self, number, action):
+        self.number, self.action = number, action
+
+    def on_start(self, *arguments):
+        self.on_generation({"generation": 0})
+
+    def on_generation(self, row):
+        if row["generation"] == self.number:
+            self.action()
+
+
 def flags(**settings):
     """Return settings as words of a command line."""
     words = []
