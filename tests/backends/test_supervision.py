@@ -145,7 +145,7 @@ def test_workers_that_cannot_start_end_the_run(num_workers):
 
 
 def test_losses_with_a_task_are_counted_for_each_map():
-    backend = ScriptedBackend(2)
+    backend = ScriptedBackend(1)
     for _ in range(MAX_LOSSES + 1):
         backend.tried.clear()
         assert run(backend, ["die once", 1, 2]) == ["die once", 1, 2]
@@ -241,6 +241,7 @@ def test_near_the_end_each_worker_gets_fewer_tasks():
 def test_a_worker_stopped_between_maps_delays_nothing(tasks):
     backend = ScriptedBackend(2, at_once=2)
     run(backend, [0, 1, 2, 3])
+    backend.tried.clear()
     backend.workers[0].is_stopped = True
     assert run(backend, tasks) == tasks
     assert backend.now_s < supervision.REPORTED_S
