@@ -11,8 +11,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.host_arrays import to_host
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 
 class Simulator(ABC):
