@@ -19,7 +19,7 @@ import pytest
 from shes.backends.processes import ProcessesBackend
 from shes.backends.supervision import MAX_LOSSES
 from shes.errors import ConfigError, WorkerError
-from tests.backends.workers import Worker, start_dying, start_refusing
+from tests.backends.workers import Worker, start_dying, start_killed, start_refusing
 from tests.e2e import runs
 
 
@@ -77,19 +77,11 @@ def test_workers_killed_between_maps_are_replaced(backend, tmp_path):
     assert len(set(pids_of(backend))) == 2
 
 
-def test_a_task_that_always_kills_its_worker_is_named(backend, tmp_path):
-    diary = tmp_path / "diary"
-    message = r"on task [5-8] of 8, \(.*; the last one died \(killed by SIGKILL\)\. Usually memory ran out: .* is kept"
-    with pytest.raises(WorkerError, match=message):  # the poisoned one, or one that went with it
-        list(backend.map([*[("add", i) for i in range(6)], ("die", diary), ("add", 7)]))
-    assert len(diary.read_text().splitlines()) <= MAX_LOSSES
-    assert psutil.Process().children() == []
-
-
 @pytest.mark.parametrize(
     ("start", "error", "message", "losses"),
     [
         (start_dying, WorkerError, r"died \(exit code 3\)\. It may have printed .*--backend serial does", MAX_LOSSES),
+        (start_killed, WorkerError, r"died \(killed by SIGKILL\)\. Usually memory ran out: lower --w", MAX_LOSSES),
         (start_refusing, ConfigError, "sigma must be positive", 0),
     ],
 )

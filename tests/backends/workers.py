@@ -113,12 +113,6 @@ class Worker:
             os.kill(os.getpid(), signal.SIGKILL)
         return self.state
 
-    def die(self, diary):
-        """Kill this process every time, and leave a line in `diary`."""
-        with Path(diary).open("a") as file:
-            file.write(f"{os.getpid()}\n")
-        os.kill(os.getpid(), signal.SIGKILL)
-
 
 def start_refusing():
     """Stand for a worker that refuses its settings."""
@@ -128,3 +122,8 @@ def start_refusing():
 def start_dying():
     """Stand for a worker whose process dies before it can do anything."""
     os._exit(3)
+
+
+def start_killed():
+    """Stand for a worker whose process is killed before it can do anything."""
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -78,7 +78,6 @@ class SupervisingBackend(Backend):
         self.clock: Callable[[], float] = monotonic
         self.workers: list[Any] = []
         """The workers that are not known to be gone."""
-        self._waited_s = 0.0  # for requests, since silent workers were last looked for
         self._losses_in_a_row = 0
         self._most_workers = 0  # a cluster that has lost a node has fewer
         self._state: bytes | None = None
@@ -145,6 +144,7 @@ class SupervisingBackend(Backend):
         self._left = deque(range(len(tasks)))
         self._results: dict[int, Any] = {}
         self._losses: Counter[int] = Counter()  # workers that were lost with each task
+        self._waited_s = 0.0  # for requests, since silent workers were last looked for
 
     def _engage(self) -> None:
         """Tell idle workers of the tasks, as long as those that will ask for the first time leave some for others.
