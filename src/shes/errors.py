@@ -89,8 +89,6 @@ class WorkerError(ShesError, RuntimeError):
     """A worker raised an exception, or workers keep dying."""
 
     exit_code = 1
-    task: int | None = None
-    """Number of the task at which workers keep dying; None if it is not that of one task."""
 
 
 def place_of(error: BaseException, *, outside: Iterable[str]) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from shes.envs.named_environments import make_task
-from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
+from shes.types import to_host
 from tests.contracts.variants import VARIANTS
 from tests.strict_arrays import DeviceArray, strict_xp
 from tests.strict_simulator import DeviceSimulator

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 import numpy as np
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.checked import checked
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory

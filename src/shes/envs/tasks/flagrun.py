@@ -15,9 +15,8 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world
-from shes.host_arrays import to_host
 from shes.settings import Ge, Le, Shared
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NEAR_M = 1.0
 """Least distance of a new goal. Within it, the reward of a step is 1 higher."""

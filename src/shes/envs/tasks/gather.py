@@ -18,8 +18,7 @@ from shes.envs.observation_spec import ObservationElement
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
-from shes.host_arrays import to_host
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NUM_OBJECTS = 8
 """Number of objects of each kind: food and poison."""

@@ -17,8 +17,7 @@ from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescriptio
 from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
-from shes.host_arrays import to_host
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
