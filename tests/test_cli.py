@@ -18,7 +18,7 @@ import pytest
 
 from experiments.ship import ship
 from shes.cli import main
-from shes.cli.command_table import find_command
+from shes.cli.program import find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError

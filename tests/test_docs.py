@@ -17,7 +17,7 @@ import pytest
 
 import shes
 from shes.cli import main
-from shes.cli.command_table import COMMANDS
+from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions

@@ -9,7 +9,7 @@ from typing import get_args, get_type_hints
 import pytest
 
 from shes.cli import main, parsing
-from shes.cli.command_table import COMMANDS, EVERYWHERE
+from shes.cli.program import COMMANDS, EVERYWHERE
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.named_environments import ENVIRONMENTS

@@ -19,8 +19,8 @@ from shes.errors import ConfigError, ShesError
 from shes.runs.evaluate import evaluation_seeds
 from shes.runs.make_config import make_config
 from shes.streams import Purpose
+from shes.viewing.playback import watch
 from shes.viewing.render import render
-from shes.viewing.watch import watch
 from tests.e2e import runs
 from tests.envs.external_envs import Car, locate_by_info, locate_car, register
 

@@ -4,8 +4,7 @@ import pytest
 
 from shes.errors import ConfigError
 from shes.runs.evaluate import evaluate
-from shes.viewing.playback import Playback
-from shes.viewing.watch import watch
+from shes.viewing.playback import Playback, watch
 
 
 def steps_of(run, checkpoint="best", episode=0, **settings):

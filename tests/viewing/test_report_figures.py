@@ -5,14 +5,14 @@ import shutil
 
 import numpy as np
 import pytest
+from shes.viewing.report_figures import X_AXES, Panel, curve_figure, panels_of
+from shes.viewing.report_figures import MOST_EPISODES, map_figure, play_episodes, search_figure
 
 from shes.algorithms.contract import Explored
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.viewing.curve_figures import X_AXES, Panel, curve_figure, panels_of
 from shes.viewing.groups import group_runs, read_run
-from shes.viewing.maps import MOST_EPISODES, map_figure, play_episodes, search_figure
 from shes.viewing.playback import Playback
 from tests.e2e import runs
 
