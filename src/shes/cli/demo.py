@@ -80,7 +80,7 @@ def play(text: str, stages: list[Stage]) -> int:
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     console.print(text, highlight=False)
     try:
-        typical, primitive = list[int](), dict[str, Path]()
+        typical, primitive = list[int](), dict[str, Any]()
         for stage in stages:
             typical.append(_learn(console, folder / stage.name, stage, primitive))
             primitive = {"primitive": folder / stage.name}
@@ -101,7 +101,7 @@ def play(text: str, stages: list[Stage]) -> int:
     return 0
 
 
-def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[str, Path]) -> int:
+def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[str, Any]) -> int:
     """Train with live progress, and print the mean result on fresh episodes before and after training.
 
     Return the index of a typical episode: after training, its result is the nearest to the mean.
