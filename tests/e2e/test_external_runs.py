@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -111,6 +112,7 @@ def test_an_agent_of_goals_may_need_info_or_the_environment(run, tmp_path):
     with pytest.raises(ConfigError, match=r"agent\.act\(observation, info\)"):
         agent.act(observation)
     assert env.action_space.contains(agent.act(observation, info))
+    assert agent.act(*gymnasium.vector.SyncVectorEnv([make_car]).reset(seed=1)).shape == (1, 3)
     agent = shes.load(shes.train("gymnasium:Ant-v5", out=tmp_path / "ant", **TINY).path)
     env = gymnasium.make("Ant-v5")
     observation, info = env.reset(seed=1)
@@ -128,6 +130,9 @@ def test_an_agent_acts_in_a_vector_environment(run):
     assert actions.shape == (3, 3)
     single, _ = gymnasium.make("tests/Car-v0").reset(seed=4)
     np.testing.assert_allclose(actions[0], agent.act(single), atol=1e-6)
+    agent.reset()
+    one, info = gymnasium.make_vec("tests/Car-v0", 1, vectorization_mode="sync").reset(seed=4)
+    np.testing.assert_allclose(agent.act(one, info), actions[:1], atol=1e-6)
 
 
 def test_watching_uses_the_environments_own_window(run, monkeypatch):
@@ -139,6 +144,7 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
         if len(shown) == 12:
             raise KeyboardInterrupt
 
+    monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: True))  # there is a screen
     monkeypatch.setattr("shes.drawing.window.PassthroughWindow.show", show)
     with pytest.raises(KeyboardInterrupt):
         watch(run.path)

@@ -5,8 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-from shes.viewing.report_figures import X_AXES, Panel, curve_figure, panels_of
-from shes.viewing.report_figures import MOST_EPISODES, map_figure, play_episodes, search_figure
 
 from shes.algorithms.contract import Explored
 from shes.runs.evaluate import evaluate
@@ -14,6 +12,16 @@ from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.viewing.groups import group_runs, read_run
 from shes.viewing.playback import Playback
+from shes.viewing.report_figures import (
+    MOST_EPISODES,
+    X_AXES,
+    Panel,
+    curve_figure,
+    map_figure,
+    panels_of,
+    play_episodes,
+    search_figure,
+)
 from tests.e2e import runs
 
 RETURNS = "Returns and scores"

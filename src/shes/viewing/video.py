@@ -80,13 +80,14 @@ def check_video_path(path: Path) -> str:
     """Return the path of ffmpeg; raise ConfigError if it is missing, or if no video can be written to `path`."""
     check_target(path, _ENCODERS)
     try:
-        found, reason = imageio_ffmpeg.get_ffmpeg_exe(), "it is not there"
+        found = imageio_ffmpeg.get_ffmpeg_exe()
+        reason = f"{found} is not there"
     except RuntimeError as error:
         found, reason = "", str(error)
     if shutil.which(found) is None:
         raise ConfigError(
-            f"there is no ffmpeg {found}: {reason}. Reinstall it by `pip install --force-reinstall imageio-ffmpeg`, or "
-            "set IMAGEIO_FFMPEG_EXE to the path of one."
+            f"there is no ffmpeg: {reason}. Reinstall it by `pip install --force-reinstall imageio-ffmpeg`, or set "
+            "IMAGEIO_FFMPEG_EXE to the path of one."
         )
     return found
 
