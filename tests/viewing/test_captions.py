@@ -40,12 +40,6 @@ def test_a_text_that_is_too_long_is_shortened_in_its_middle():
         assert (whole != of(start + "x" * 98 + end)).any()
 
 
-def test_lines_are_broken_at_the_same_places_for_all_numbers():
-    view = np.full((480, 480, 3), 255, np.uint8)
-    texts = [[f"value of input {name} {number:.2f}" for name in "abcdefgh"] for number in np.linspace(-20, 20, 9)]
-    assert len({height_of(captioned(view, [each])) for each in texts}) == 1
-
-
 def words_of(env, view="observation", **settings):
     """Return a new task and what the controller sees of it."""
     if settings.get("algorithm", "shes") == "shes":

@@ -115,11 +115,6 @@ def test_the_legend_says_what_differs_between_groups(kinds, seeds, tmp_path, dra
     assert legend(drawn[1])[:3] == ["sigma 0.07 (3 runs)", "sigma 0.5", RUNS]
 
 
-def test_a_copy_of_a_run_is_no_repetition(seeds, tmp_path, drawn):
-    plot([seeds[0], shutil.copytree(seeds[0], tmp_path / "copy")], tmp_path / "a.png")
-    assert legend(drawn[0]) == [str(seeds[0]), str(tmp_path / "copy"), EPISODES]
-
-
 def test_no_label_leaves_the_picture_or_meets_another(seeds, tmp_path, drawn):
     deep = tmp_path / "_a$b$" / "/".join(["a rather long name of a folder"] * 7)
     copies = [shutil.copytree(seeds[0], deep / str(number)) for number in range(13)]

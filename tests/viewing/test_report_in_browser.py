@@ -1,7 +1,6 @@
 """The page of a report as Chromium shows it."""
 
 import importlib.util
-import re
 
 import pytest
 
@@ -51,19 +50,6 @@ def browser(tmp_path):
         yield opened
         assert opened.errors == []
         assert not [url for url in opened.requests if not url.startswith(("file:", "data:", "blob:"))]
-
-
-def test_values_are_shown_below_the_mouse(page, browser):
-    browser.open(page)
-    browser.evaluate(f"{FIRST}.scrollIntoView()")
-    area = f"{FIRST}.querySelector('.nsewdrag').getBoundingClientRect()"
-    browser.wait_for(f"{FIRST}.querySelector('.nsewdrag')")
-    left, top, right, bottom = browser.evaluate(
-        f"(() => {{const r = {area}; return [r.left, r.top, r.right, r.bottom]}})()"
-    )
-    browser.mouse("Moved", left + 10, (top + bottom) / 2)
-    browser.mouse("Moved", (left + right) / 2, (top + bottom) / 2)
-    assert re.search(r"\d\.\d", browser.wait_for(f"{FIRST}.querySelector('.hoverlayer').textContent"))
 
 
 def test_the_horizontal_axis_and_the_curves_can_be_chosen(page, browser):
