@@ -21,9 +21,6 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 
 import tyro
-from rich.cells import cell_len
-from rich.table import Table as RichTable
-from rich.text import Text
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from shes.cli.program import COMMANDS, REMOVED, TERMINATED, find_command
@@ -31,7 +28,7 @@ from shes.console import LineConsole
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.named_environments import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
-from shes.listing import Listing, Table
+from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import drawing_progress
@@ -138,29 +135,10 @@ def _show(found: Any, kind: str, *, as_json: bool) -> int:
         if isinstance(part, str):
             console.print_line(part)
         else:
-            console.print(_rich_table(part, console.width))
+            console.print_table(part)
     for error in listing.errors:
         LineConsole(stderr=True).print_error(error)
     return 1 if listing.errors else 0
-
-
-def _rich_table(table: Table, width: int) -> RichTable:
-    """Return `table` in at most `width` characters: lines are broken between words, except in the widest column."""
-    made = RichTable(show_header=bool(table.headings))
-    columns = list(zip(*([table.headings] if table.headings else []), *table.rows, strict=True))
-    widths = [max(map(cell_len, column)) for column in columns]
-    excess = sum(widths) + 3 * len(widths) + 1 - width
-    for i in reversed(range(len(widths))):
-        longest_word = max((cell_len(word) for cell in columns[i] for word in cell.split()), default=0)
-        cut = max(0, min(excess, widths[i] - longest_word))
-        widths[i], excess = widths[i] - cut, excess - cut
-    widest = widths.index(max(widths))
-    widths[widest] = max(widths[widest] - max(excess, 0), 1)
-    for i, room in enumerate(widths):
-        made.add_column(table.headings[i] if table.headings else "", overflow="fold", width=room)
-    for row in table.rows:
-        made.add_row(*map(Text, row))
-    return made
 
 
 def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:

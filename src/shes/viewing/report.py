@@ -111,7 +111,8 @@ def report(
     rest = [_timing(read), _settings(read), _origins(read)]
     notes = [f"{name} is left out: {error}" for name, error in errors.items()]
     body = [_runs(groups, notes), _results(groups, found, episodes), returns, maps, *diagnostics, *rest]
-    title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(_envs(groups))}"
+    envs = dict.fromkeys(run.config.run.env for run in read)
+    title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(envs)}"
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
     text = page(f"Report: {title}", made, body, figures, plotly)
     write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
@@ -125,10 +126,6 @@ def _attempt(run: RunData, what: str, make: Callable[..., T], *args: Any, **sett
     except ShesError as error:
         run.notes.append(f"There is no {what}: {error}")
         return None
-
-
-def _envs(groups: Sequence[Group]) -> list[str]:
-    return list(dict.fromkeys(group.runs[0].config.run.env for group in groups))
 
 
 def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes: int) -> str:
@@ -173,7 +170,7 @@ def estimate(values: F64Array) -> str:
 def _curves(groups: Sequence[Group], figures: dict[str, Figure]) -> list[str]:
     """Return the `SECTIONS` of curves, each with a figure for each environment."""
     places: dict[str, list[str]] = {title: [] for title in SECTIONS}
-    for env in _envs(groups):
+    for env in dict.fromkeys(group.runs[0].config.run.env for group in groups):
         own = [group for group in groups if group.runs[0].config.run.env == env]
         panels = panels_of([run for group in own for run in group.runs])
         for title, found in places.items():
