@@ -97,7 +97,7 @@ class _Option(NamedTuple):
 
     section: str
     chooser: str
-    registry: Registry[Any]
+    registry: Any
     choice: str
     setting: Setting
 
@@ -119,6 +119,5 @@ def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Opti
         for chooser in own.values():
             for note in chooser.all_of(Choices):
                 for choice, cls in registered(note.names).items():
-                    for option in options_of(cls).values():
-                        if not option.has(Unasked):
-                            yield _Option(section, chooser.name, note.names, choice, option)
+                    asked = (each for each in options_of(cls).values() if not each.has(Unasked))
+                    yield from (_Option(section, chooser.name, note.names, choice, each) for each in asked)

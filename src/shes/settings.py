@@ -124,22 +124,20 @@ class Setting:
         For a tuple of any length, a single number stands for a tuple of one. Raise ConfigError if the value is not
         allowed, and UnknownNameError if it is an unknown name.
         """
-        value = _plain(value)
-        if value is None and self.is_optional:
+        plain: Any = _plain(value)
+        if plain is None and self.is_optional:
             return None
         if known := next(self.all_of(Choices), None):
-            return self._checked_name(value, known)
+            return self._checked_name(plain, known)
         if self.kind is not tuple:
-            is_allowed = self._is_item(value)
-            made: Any = float(value) if is_allowed and self.item is float else value
-        else:
-            value = (value,) if self.length is None and isinstance(value, int | float) else value
-            has_length = isinstance(value, tuple) and self.length in (None, len(value))
-            is_allowed = has_length and bool(value or self.can_be_empty) and all(map(self._is_item, value))
-            made = tuple(map(float, value)) if is_allowed and self.item is float else value
-        if not is_allowed:
-            raise out_of_range(self.name, value, self.allowed, self.flag)
-        return made
+            if not self._is_item(plain):
+                raise out_of_range(self.name, plain, self.allowed, self.flag)
+            return float(plain) if self.item is float else plain
+        items = (plain,) if self.length is None and isinstance(plain, int | float) else plain
+        has_length = isinstance(items, tuple) and self.length in (None, len(items))
+        if not has_length or not (items or self.can_be_empty) or not all(map(self._is_item, items)):
+            raise out_of_range(self.name, items, self.allowed, self.flag)
+        return tuple(map(float, items)) if self.item is float else items
 
     def _checked_name(self, value: Any, known: Choices) -> str:
         if not isinstance(value, str):
