@@ -124,9 +124,9 @@ class Setting:
         For a tuple of any length, a single number stands for a tuple of one. Raise ConfigError if the value is not
         allowed, and UnknownNameError if it is an unknown name.
         """
-        plain: Any = _plain(value)
-        if plain is None and self.is_optional:
+        if value is None and self.is_optional:
             return None
+        plain = _plain(value)
         if known := next(self.all_of(Choices), None):
             return self._checked_name(plain, known)
         if self.kind is not tuple:
