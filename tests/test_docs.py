@@ -32,8 +32,6 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SRC = ROOT / "src" / "shes"
 PAGES = sorted(DOCS.rglob("*.md"))
-NOT_IN_THE_REFERENCE = ("cli",)
-"""Subpackages and modules that the reference omits."""
 
 
 class Page(HTMLParser):
@@ -170,15 +168,6 @@ def test_an_environments_page_lists_its_observations_and_actions(site, pages, na
     assert {row[0]["text"] for row in tables["argument", "default"]} == setting_fields(task.Options).keys()
     assert (site / "environments" / f"{name}.png").stat().st_size > 1000
     assert f"{name}.html" in pages["environments/index.html"].links
-
-
-@pytest.mark.extras
-def test_the_reference_has_every_module_of_every_subpackage(pages):
-    found = {name for page in pages.values() for name in page.ids}
-    for path in SRC.rglob("*.py"):
-        parts = path.relative_to(SRC.parent).with_suffix("").parts
-        if parts[1] not in NOT_IN_THE_REFERENCE and not parts[-1].startswith("_"):
-            assert ".".join(parts) in found
 
 
 def code_blocks(path, language):

@@ -270,10 +270,6 @@ def test_bash_completes_commands_flags_and_choices(shes, tmp_path):
     assert [line.split() for line in done.stdout.splitlines()] == list(COMPLETED.values())
 
 
-def test_other_shells_have_a_script_too(shes):
-    assert "shes" in shes("completion", "zsh")
-
-
 @pytest.mark.parametrize("what", REMOVED)
 def test_what_was_removed_names_its_replacement(capsys, what):
     words = ["train", "point-gather", what, "1"] if what.startswith("--") else what.split()

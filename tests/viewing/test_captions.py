@@ -68,6 +68,18 @@ def test_many_inputs_of_one_word_are_summed_up():
     assert words == ("controller sees 32 values", *summed, "time 0.00", "target x 0.00", "target y 0.16")
 
 
+def test_three_inputs_of_one_word_are_listed_and_four_are_not():
+    class View:
+        def names(self, _):
+            return ["food_1", "food_2", "food_3", "wall_1", "wall_2", "wall_3", "wall_4"]
+
+        def write(self, observation, heading, values):
+            values[:] = np.arange(7)
+
+    listed = ("food 1 0.00", "food 2 1.00", "food 3 2.00", "4 of wall up to 6.00")
+    assert input_words(View(), words_of("point-maze")[0]) == ("controller sees 7 values", *listed)
+
+
 def test_an_agent_without_a_controller_has_no_inputs(tiny_run, kinds):
     def shown(run, **settings):
         return next(Playback(run, "best", **settings).play(3)).inputs
