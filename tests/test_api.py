@@ -222,25 +222,6 @@ def test_numbers_of_numpy_are_settings_too_and_the_callers_are_not_changed(tmp_p
     assert hidden == [4]
 
 
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        ({"env": "point-gathr"}, UnknownNameError, r"unknown environment 'point-gathr'\. Did you mean 'point-gather'"),
-        (
-            {"preset": "big"},
-            UnknownNameError,
-            r"unknown preset 'big'\. Known: hiro-paper, hiro-table1, laptop, paper, smoke",
-        ),
-        ({"sigmma": 1}, ConfigError, r"unknown setting 'sigmma'\. Did you mean 'sigma'"),
-        ({"sigma": -1}, ConfigError, r"sigma must be a positive number, got -1\. Set --sigma"),
-    ],
-)
-def test_wrong_settings_are_refused_before_there_is_a_folder(tmp_path, settings, error, message):
-    with pytest.raises(error, match=message):
-        shes.train(**{"env": "point-gather", "preset": "smoke", "out": tmp_path / "run", **settings})
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_every_error_is_a_shes_error_and_what_python_calls_it(run):
     with pytest.raises(ShesError) as refused:
         shes.train("point-gather", out=run.path)
