@@ -100,10 +100,10 @@ def _is_batch(space: Any, observation: Any) -> bool:
     """Return whether an observation of one environment has a batch axis, as in a vector environment of one."""
     try:
         while isinstance(space, Dict | Tuple):
-            first = next(iter(space)) if isinstance(space, Dict) else 0
+            first: Any = next(iter(space)) if isinstance(space, Dict) else 0
             space, observation = space[first], observation[first]
-    except (LookupError, TypeError):
-        return False  # not an observation of this space
+    except (LookupError, TypeError):  # not an observation of this space
+        return False
     return np.shape(observation) == (1, *(space.shape or ()))
 
 
