@@ -10,22 +10,6 @@ import sysconfig
 import traceback
 from collections.abc import Iterable
 
-__all__ = [
-    "CheckpointError",
-    "ConfigError",
-    "DivergenceError",
-    "MissingExtraError",
-    "PolicyError",
-    "RunFolderError",
-    "ShapeError",
-    "ShesError",
-    "StorageError",
-    "UnknownNameError",
-    "WorkerError",
-    "nearest_first",
-    "place_of",
-]
-
 
 class ShesError(Exception):
     """Base of all exceptions of SHES. `exit_code` is the exit code of the command line."""

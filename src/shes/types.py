@@ -28,14 +28,10 @@ class ArrayHeader(Protocol):
     """Shape and type of an array, which may still be in a file."""
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Length of each axis."""
-        ...
+    def shape(self) -> tuple[int, ...]: ...  # noqa: D102 - as of an array
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the elements."""
-        ...
+    def dtype(self) -> np.dtype[Any]: ...  # noqa: D102
 
 
 def is_whole(value: Any) -> TypeGuard[int]:

@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -17,6 +19,7 @@ from shes.errors import ConfigError, ShesError
 from shes.runs.evaluate import evaluation_seeds
 from shes.runs.make_config import make_config
 from shes.streams import Purpose
+from shes.viewing.playback import watch
 from shes.viewing.render import render
 from tests.e2e import runs
 from tests.envs.external_envs import Car, locate_by_info, locate_car, register
@@ -100,6 +103,7 @@ def test_an_agent_of_goals_may_need_info_or_the_environment(run, tmp_path):
     with pytest.raises(ConfigError, match=r"agent\.act\(observation, info\)"):
         agent.act(observation)
     assert env.action_space.contains(agent.act(observation, info))
+    assert agent.act(*gymnasium.vector.SyncVectorEnv([make_car]).reset(seed=1)).shape == (1, 3)
     agent = shes.load(shes.train("gymnasium:Ant-v5", out=tmp_path / "ant", **TINY).path)
     env = gymnasium.make("Ant-v5")
     observation, info = env.reset(seed=1)
@@ -107,6 +111,52 @@ def test_an_agent_of_goals_may_need_info_or_the_environment(run, tmp_path):
         agent.act(observation, info)
     assert env.action_space.contains(agent.act(observation, env=env))
     assert np.abs(agent.goal - env.unwrapped.data.qpos[:2]).max() <= agent.config.hierarchy.goal_distance + 1e-6
+
+
+def test_an_agent_acts_in_a_vector_environment(run):
+    agents, agent = shes.load(run.path, num_envs=3), shes.load(run.path)
+    envs = gymnasium.make_vec("tests/Car-v0", 3, vectorization_mode="sync")
+    observations, _ = envs.reset(seed=4)
+    actions = agents.act(observations)
+    assert actions.shape == (3, 3)
+    single, _ = gymnasium.make("tests/Car-v0").reset(seed=4)
+    np.testing.assert_allclose(actions[0], agent.act(single), atol=1e-6)
+    agent.reset()
+    one, info = gymnasium.make_vec("tests/Car-v0", 1, vectorization_mode="sync").reset(seed=4)
+    np.testing.assert_allclose(agent.act(one, info), actions[:1], atol=1e-6)
+
+
+def test_watching_uses_the_environments_own_window(run, monkeypatch):
+    shown = []
+
+    def show(self, pose, /, markers=(), *, is_new_episode=False, lines=()):
+        shown.append(is_new_episode)
+        assert pose is None
+        if len(shown) == 12:
+            raise KeyboardInterrupt
+
+    monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: True))  # there is a screen
+    monkeypatch.setattr("shes.drawing.window.PassthroughWindow.show", show)
+    with pytest.raises(KeyboardInterrupt):
+        watch(run.path)
+    assert [number for number, is_new in enumerate(shown) if is_new] == [0, 10]
+
+
+def test_a_camera_that_there_is_not_is_refused(run, tmp_path):
+    with pytest.raises(ConfigError, match=r"this environment draws itself and has no camera 'top'\. Omit --camera"):
+        render(run.path, tmp_path / "walk.gif", camera="top")
+
+
+def test_an_environment_of_this_script_goes_to_the_workers(tmp_path):
+    """Registered in `__main__` alone: no worker could import it by name."""
+    script = tmp_path / "own.py"
+    text = (Path(__file__).parents[1] / "envs" / "external_envs.py").read_text()
+    script.write_text(
+        f"{text}\nimport shes\nshes.register_external('car', lambda: Car(), locate=lambda seen, _: seen['pose'])\n"
+        f"print(shes.train('car', out='run', **{ {**TINY, 'backend': 'processes', 'num_workers': 2}!r}).generation)\n"
+    )
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", "2\n")
 
 
 @pytest.mark.parametrize(

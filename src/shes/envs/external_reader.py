@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import gymnasium
 import mujoco
 import numpy as np
-from gymnasium.spaces import Box, Dict, Discrete, flatdim, flatten, unflatten
+from gymnasium.spaces import Box, Dict, Discrete, Tuple, flatdim, flatten, unflatten
 from gymnasium.vector.utils import batch_space, iterate
 
 from shes.envs.bodies.body import yaw
@@ -61,7 +61,7 @@ class ExternalReader(Reader):
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
         """Return the observation of `num_envs` environments as rows [num_envs, O]; see `Reader.rows`."""
-        is_single = num_envs == 1 and np.shape(observation) != (1, *(self._space.shape or ()))
+        is_single = num_envs == 1 and not _is_batch(self._space, observation)
         try:
             each = [observation] if is_single else iterate(batch_space(self._space, num_envs), observation)
             return np.array([self.flat(one) for one in each]).reshape(num_envs, self.observation_size), is_single
@@ -86,7 +86,8 @@ class ExternalReader(Reader):
         envs = getattr(env, "envs", [env] * len(rows))  # a vector environment has `envs`
         poses = np.empty((len(rows), 3))
         for i, row in enumerate(rows):
-            own = {k: v[i] if len(rows) > 1 and np.ndim(v) else v for k, v in (info or {}).items()}
+            told = info or {}  # a vector environment also says of each entry which environments gave it
+            own = {k: v[i] if np.ndim(v) and (len(rows) > 1 or f"_{k}" in told) else v for k, v in told.items()}
             try:
                 poses[i] = self.planar_pose(row, own, envs[i])
             except LookupError as error:
@@ -113,6 +114,17 @@ def _bounds(space: Any) -> F64Array:
 def _described(part: Any) -> str:
     """Return the shape of an array in words, or the `repr` of something else."""
     return f"shape {part.shape}" if isinstance(part, np.ndarray) else repr(part)
+
+
+def _is_batch(space: Any, observation: Any) -> bool:
+    """Return whether an observation of one environment has a batch axis, as in a vector environment of one."""
+    try:
+        while isinstance(space, Dict | Tuple):
+            first: Any = next(iter(space)) if isinstance(space, Dict) else 0
+            space, observation = space[first], observation[first]
+    except (LookupError, TypeError):  # not an observation of this space
+        return False
+    return np.shape(observation) == (1, *(space.shape or ()))
 
 
 def find_physics(env: gymnasium.Env[Any, Any]) -> mujoco.MjData | None:
