@@ -2,7 +2,9 @@
 
 Docstrings give shapes as `[axis, axis]`.
 
-The letters of the axes are explained in `docs/reference/index.md`.
+The letters of the axes are explained in `docs/reference/index.md`. Arrays are NumPy's, or CuPy's on a CUDA GPU: NumPy
+functions accept both, and code that creates arrays uses the array module `xp`. `xp.asarray` transfers to the device,
+`to_host` back.
 """
 
 from __future__ import annotations
@@ -29,14 +31,10 @@ class ArrayHeader(Protocol):
     """Shape and type of an array, which may still be in a file."""
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Length of each axis."""
-        ...
+    def shape(self) -> tuple[int, ...]: ...  # noqa: D102 - as of an array
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the elements."""
-        ...
+    def dtype(self) -> np.dtype[Any]: ...  # noqa: D102
 
 
 def is_whole(value: Any) -> TypeGuard[int]:
@@ -67,3 +65,8 @@ def facts_listing(facts: Mapping[str, Any]) -> Listing:
     """Return the listing of named values."""
     rows = [(name, f"{it:,.3f}" if isinstance(it, float) else str(it)) for name, it in facts.items()]
     return Listing(facts, [Table((), rows)])
+
+
+def to_host(array: Any) -> NDArray[Any]:
+    """Return `array` as a NumPy array: itself if it is one, else a copy, which waits for the device."""
+    return array if isinstance(array, np.ndarray) else array.get()

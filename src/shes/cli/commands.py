@@ -1,12 +1,11 @@
-"""The commands that are more than a function of the library: `train`, `resume` and `completion`."""
+"""The commands `train` and `resume`, which are more than a function of the library: they take several runs."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from shes.cli.parsing import print_completion
 from shes.errors import ConfigError
 from shes.runs import train as run_training
 from shes.runs.config import RunSettings
@@ -63,11 +62,3 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
     if not folder.left:
         raise ConfigError(f"all {len(folder.configs)} runs of {run} have ended. To go on: {folder.how_to_go_on}")
     return folder.train_shown(list(folder.configs))
-
-
-def completion(shell: Literal["bash", "zsh", "fish"]) -> int:
-    """Print a script by which a shell completes commands, flags and choices.
-
-    For bash: shes completion bash > ~/.local/share/bash-completion/completions/shes
-    """
-    return print_completion(shell)

@@ -14,7 +14,7 @@ from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
