@@ -20,8 +20,7 @@ from shes.errors import ConfigError
 if TYPE_CHECKING:
     __version__: str
     from shes import es
-    from shes.agents.goals import register_goal_encoding
-    from shes.agents.outputs import register_controller_output
+    from shes.agents.goals import register_controller_output, register_goal_encoding
     from shes.agents.rewards import register_primitive_reward
     from shes.envs.named_environments import register_environment, register_external
     from shes.runs.evaluate import Evaluation, evaluate
@@ -68,7 +67,7 @@ _HOMES = {
     "load": "shes.runs.loaded_agent",
     "plot": "shes.viewing.plot",
     "register_algorithm": "shes.runs.named_algorithms",
-    "register_controller_output": "shes.agents.outputs",
+    "register_controller_output": "shes.agents.goals",
     "register_environment": "shes.envs.named_environments",
     "register_external": "shes.envs.named_environments",
     "register_goal_encoding": "shes.agents.goals",

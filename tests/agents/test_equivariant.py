@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from shes.agents.equivariant import EquivariantMLP, sector_actions
+from shes.agents.goals import HeadingDirectionOutput, HeadingVectorOutput, SectorOutput
 from shes.agents.mlp import MLP
-from shes.agents.outputs import HeadingDirectionOutput, HeadingVectorOutput, SectorOutput
 
 QUARTER_TURN = (np.array([1, 0]), np.array([-1.0, 1.0]))  # (x, y) -> (-y, x)
 MIRROR = (np.array([0, 1]), np.array([1.0, -1.0]))

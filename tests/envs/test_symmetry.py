@@ -13,8 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.agents.frames import Frames
-from shes.agents.goal_agent import GoalDesign
+from shes.agents.goal_agent import Frames, GoalDesign
 from shes.agents.goals import AngleEncoding
 from shes.agents.mlp import MLP
 from shes.agents.rewards import ProgressReward
@@ -274,8 +273,8 @@ def controls_of(group, images, states, goals):
     agent = design.make(1, len(images))
     theta = design.primitive.initial(np.random.default_rng(6), "glorot_normal") * 2
     statistics = ObservationStatistics.empty(28).merge(9, np.random.default_rng(7).normal(size=28), np.full(28, 20.0))
-    agent.normalise_by((LevelParameters.of(theta, statistics),))
-    agent.theta[0][0] = theta
+    agent.centre_on((LevelParameters.of(theta, statistics),))
+    agent.levels[0].theta[0] = theta
     agent.start(slice(None))
     found = []
     for step, (qpos, qvel) in enumerate(zip(*states, strict=True)):

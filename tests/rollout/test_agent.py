@@ -15,7 +15,7 @@ from tests.rollout import designs
 def deciding(output, lanes=1, **options):
     """Return agents at the first step of their episodes whose controllers output `output`, whatever they see."""
     agent = designs.both(hidden=(), **options).make(lanes, 1)
-    agent.theta[0][:, -2:] = np.arctanh(output)
+    agent.levels[0].theta[:, -2:] = np.arctanh(output)
     agent.start(slice(None))
     return agent
 
@@ -83,8 +83,9 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
 
     def goals(observation, position):
         agent = design.make(1, len(observation))
-        agent.normalise_by(levels)
-        agent.theta[0][0], agent.theta[1][0] = (level.theta for level in levels)
+        agent.centre_on(levels)
+        for own, level in zip(agent.levels, levels, strict=True):
+            own.theta[0] = level.theta
         agent.start(slice(None))
         agent.act(observation, position, np.zeros(len(observation)))
         return agent.goal - position

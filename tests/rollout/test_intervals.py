@@ -13,7 +13,7 @@ from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.estimates import IntervalEstimate, draw_episodes, draw_pairs, next_running
 from shes.evolution.state import RunningEpisodes
 from shes.rollout.episodes import Snapshot
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

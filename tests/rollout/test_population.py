@@ -15,7 +15,7 @@ from shes.es.shaping import CentredRanks, PairRanks
 from shes.es.statistics import ObservationStatistics
 from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, Population, draw_episodes
 from shes.rollout.episodes import Generation
-from shes.rollout.results import PopulationResults, lower_diverged
+from shes.rollout.roll_out import PopulationResults, lower_diverged
 from tests.es.textbook import centred_ranks, group_signs
 from tests.rollout.formula import SETTINGS, formula_state
 from tests.rollout.made_up import SIZES, make_result, make_task

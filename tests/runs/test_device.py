@@ -18,7 +18,7 @@ from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.machine import num_cores
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.runs import device
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig

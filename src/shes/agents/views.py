@@ -1,4 +1,4 @@
-"""Views: the part of an environment's observation that a level sees, and the choices of a run's settings among them.
+"""What a level sees: a view, which is a part of the environment's observation, and a clock; a run's choices of views.
 
 Source: SHES paper II-D (a transferred primitive sees the robot's own coordinates); `docs/learning.md` (egocentric
 views).
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -21,6 +22,28 @@ from shes.types import F64Array, IntArray
 
 SECTORS_SCALE = {"position": 8.0, "velocity": 1.0}
 """Length in metres, and speed in metres per second, that read 1 in `SectorsView`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """Sine and cosine of the time since the start of the episode, at one frequency: a network has no rhythm of its own.
+
+    Source: Siekmann et al. 2021, section III (sine and cosine of a gait's phase as inputs).
+    """
+
+    size: ClassVar[int] = 2
+    """Number of features."""
+    frequency_hz: float
+    """Frequency in simulated time."""
+    step_s: float
+    """Simulated time of a control step in seconds."""
+
+    def write(self, steps: IntArray, out: F64Array) -> None:
+        """Write sine and cosine into `out` [P * R, 2], for lanes `steps` [P] control steps after their start."""
+        phase = (2 * np.pi * self.frequency_hz * self.step_s) * steps[:, None]
+        features = out.reshape(len(steps), -1, self.size)  # a view
+        np.sin(phase, out=features[..., 0])  # broadcast over the episodes of a lane, which started together
+        np.cos(phase, out=features[..., 1])
 
 
 class View(ABC):

@@ -99,9 +99,7 @@ class Rollout:
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals
         self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
-        self.agent.normalise_by(generation.levels)
-        if self.agent.shares_noise:
-            self.agent.centre_on(generation.levels)
+        self.agent.centre_on(generation.levels)
         self._lanes = [None] * self.num_lanes
         self._is_running[:] = False
         self._running = np.flatnonzero(self._is_running)
@@ -155,20 +153,20 @@ class Rollout:
         self._steps[rows] = 0
         self._is_running[rows] = True
         self._running = np.flatnonzero(self._is_running)
-        self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
+        for level in self.agent.levels:
+            level.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
 
     def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
         """Write the parameters of a task into lane `place`."""
-        agent = self.agent
-        for level, mean in enumerate(means):
+        for level, (own, mean) in enumerate(zip(self.agent.levels, means, strict=True)):
             noise = table.slice(task.noise_index[level], len(mean))
             scales = [sigma * signs[level] for signs in task.signs]
-            if agent.shares_noise:
-                agent.theta[level][place] = noise
+            if self.members_per_lane > 1:
+                own.theta[place] = noise
                 each = np.repeat(np.array(scales, np.float32), self.rows_per_lane // self.members_per_lane)
-                agent.scale[level][place, :, 0] = self.xp.asarray(each)
+                own.scale[place, :, 0] = self.xp.asarray(each)
             else:
-                perturb(mean, noise, scales[0], agent.theta[level][place])
+                perturb(mean, noise, scales[0], own.theta[place])
 
     def _step(self) -> IntArray:
         """Advance every running episode by one control step, and return the rows of those that ended."""
@@ -257,8 +255,9 @@ class Rollout:
         if self.design.intrinsic_level is not None:
             outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]
         moments = [
-            tuple(to_host(sums[ids]) for sums in (each.count, each.total, each.total_squares))
-            for each in (agent.moments if agent.is_recording else ())
+            tuple(to_host(sums[ids]) for sums in (own.moments.count, own.moments.total, own.moments.total_squares))
+            for own in agent.levels
+            if own.is_recording
         ]
         return outcomes, moments
 
@@ -271,8 +270,8 @@ class Rollout:
                 continue
             place, slot = divmod(row, self.rows_per_lane)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
-            bad = [not bool(np.isfinite(theta).all()) for theta in self.agent.parameters(place)]
-            which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
+            levels = zip(self.design.level_names, self.agent.levels, strict=True)
+            which = " and ".join(name for name, level in levels if not level.is_finite(place))
             member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
             raise PolicyError(
                 f"the policy of member {member} returned NaN or infinity at step {int(self._steps[row])}"

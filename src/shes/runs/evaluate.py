@@ -18,8 +18,7 @@ from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
 from shes.listing import Listing, facts_listing
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
-from shes.rollout.results import PopulationResults, lower_diverged
-from shes.rollout.roll_out import roll_out_tasks
+from shes.rollout.roll_out import PopulationResults, lower_diverged, roll_out_tasks
 from shes.runs.build import build_backend, open_run
 from shes.runs.device import check_asked_device, check_limits, most_episodes
 from shes.runs.folder import RunFolder
