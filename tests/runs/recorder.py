@@ -120,9 +120,6 @@ def recording() -> Iterator[Record]:
         def release_memory(self) -> None:
             """Do nothing."""
 
-        def free_bytes(self) -> None:
-            """Return None: unknown."""
-
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)
         own = Update(before=level, shaped=shaped, rule=rule, learning_rate=learning_rate, result=result)

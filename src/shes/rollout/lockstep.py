@@ -63,7 +63,9 @@ class Rollout:
         `make_batch` returns the environment for a number of episodes N = P * R. The episodes of a lane belong to
         `members_per_lane` members, which share their noise.
         """
-        self.rows_per_lane, self.horizon, self.members_per_lane = rows_per_lane, horizon, members_per_lane
+        self.num_lanes, self.rows_per_lane, self.members_per_lane = num_lanes, rows_per_lane, members_per_lane
+        self.shape = num_lanes, rows_per_lane, members_per_lane
+        self.horizon = horizon
         self.design = design
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
@@ -77,11 +79,6 @@ class Rollout:
         self._intrinsic_return: F64Array = self.xp.zeros(rows)
         self._seconds: F64Array = np.zeros(len(PARTS))
         self._recorder: SnapshotRecorder | None = None
-
-    @property
-    def num_lanes(self) -> int:
-        """Number of lanes, P."""
-        return len(self._lanes)
 
     def run(
         self,
