@@ -15,6 +15,7 @@ from shes.rollout.episodes import PARTS, EpisodeTask, Generation
 from shes.rollout.lockstep import Rollout
 from tests.rollout import designs
 from tests.rollout.fake_task import FakeEnvironment, FakeTask, Script, make_seed
+from tests.rollout.made_up import taking
 from tests.rollout.plain_loop import assert_equal, of_results, play
 
 HORIZON = 23
@@ -75,7 +76,7 @@ def rollout_of(lanes=1, design=DESIGN, of=TRAINING, make=FREE.make):
 
 def results_of(rollout, tasks, generation=None, table=None):
     """Return the results by the tasks' first members; each comes once."""
-    done = list(rollout.run(iter(enumerate(tasks)), generation or generation_of(), table or table_of()))
+    done = list(rollout.run(taking(enumerate(tasks)), generation or generation_of(), table or table_of()))
     assert sorted(number for number, _ in done) == list(range(len(tasks)))
     return {tasks[number].member: results for number, results in done}
 
@@ -173,7 +174,7 @@ def test_tasks_are_taken_when_a_lane_is_free():
             taken.append(10 * number)
             yield 10 * number, replace(task, seeds=(seed,))
 
-    for number, _ in rollout_of(2, of=of).run(work(), generation_of(of=of), table_of()):
+    for number, _ in rollout_of(2, of=of).run(taking(work()), generation_of(of=of), table_of()):
         seen.append((number, len(taken)))
     assert seen == [(10, 2), (20, 3), (30, 4), (0, 4)]
     assert results_of(rollout_of(3), []) == {}

@@ -177,11 +177,8 @@ CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
     check=subclass_of(ControllerOutput),
 )
 """Controller outputs by name: the choices of `--controller-output`."""
-
-
-def register_controller_output(name: str, output: type[ControllerOutput]) -> None:
-    """Register `output` as `name` in this process, for `shes.train(..., controller_output=name)`."""
-    CONTROLLER_OUTPUTS.register(name, output)
+register_controller_output = CONTROLLER_OUTPUTS.register
+"""Registers a class under a name in this process, for `shes.train(..., controller_output=name)`."""
 
 
 def make_controller_output(name: str, values: Mapping[str, Any]) -> ControllerOutput:
@@ -287,11 +284,8 @@ GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
     check=subclass_of(GoalEncoding),
 )
 """Goal encodings by name: the choices of `--goal-encoding`."""
-
-
-def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
-    """Register `encoding` as `name` in this process, for `shes.train(..., goal_encoding=name)`."""
-    GOAL_ENCODINGS.register(name, encoding)
+register_goal_encoding = GOAL_ENCODINGS.register
+"""Registers a class under a name in this process, for `shes.train(..., goal_encoding=name)`."""
 
 
 def make_goal_encoding(name: str, values: Mapping[str, Any]) -> GoalEncoding:

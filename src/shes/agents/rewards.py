@@ -123,11 +123,8 @@ PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
     check=subclass_of(PrimitiveReward),
 )
 """Primitive rewards by name: the choices of `--primitive-reward`."""
-
-
-def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
-    """Register `reward` as `name` in this process, for `shes.train(..., primitive_reward=name)`."""
-    PRIMITIVE_REWARDS.register(name, reward)
+register_primitive_reward = PRIMITIVE_REWARDS.register
+"""Registers a class under a name in this process, for `shes.train(..., primitive_reward=name)`."""
 
 
 def make_primitive_reward(name: str, values: Mapping[str, Any]) -> PrimitiveReward:

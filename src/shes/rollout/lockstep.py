@@ -11,7 +11,7 @@ waits for the device twice: to check that actions are finite, and to find the ep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -32,7 +32,6 @@ from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 NumberedTask = tuple[int, EpisodeTask]
 """A task with its number."""
-_NONE_LEFT: Any = object()
 
 
 @dataclass(kw_only=True)
@@ -82,15 +81,15 @@ class Rollout:
 
     def run(
         self,
-        work: Iterator[NumberedTask | None],
+        take: Callable[[int], Sequence[NumberedTask]],
         generation: Generation,
         table: NoiseTable,
         on_step: Callable[[], None] = lambda: None,
     ) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
+        """Run tasks, one per lane at a time, and yield numbered results as they finish, until none is left.
 
-        None in `work` means that no more tasks are to be started until an episode has ended. `on_step` is called after
-        every step. A PolicyError is raised for a policy that returned NaN or infinity.
+        `take(n)` returns up to n further tasks; it is asked again when an episode has ended. `on_step` is called after
+        steps that end no episode. A PolicyError is raised for a policy that returned NaN or infinity.
         """
         self.batch.set_way(generation.way)
         self._exploration.begin(generation)
@@ -101,17 +100,10 @@ class Rollout:
         self._is_running[:] = False
         self._running = np.flatnonzero(self._is_running)
         means = [self.xp.asarray(level.theta) for level in generation.levels]
-        is_exhausted = False
         while True:
             free = [place for place, lane in enumerate(self._lanes) if lane is None]
-            if not is_exhausted and free and not (self.batch.starts_together and len(free) < self.num_lanes):
-                started: dict[int, NumberedTask] = {}
-                for place in free:
-                    numbered = next(work, _NONE_LEFT)
-                    is_exhausted = numbered is _NONE_LEFT
-                    if numbered is None or is_exhausted:
-                        break
-                    started[place] = numbered
+            if free and not (self.batch.starts_together and len(free) < self.num_lanes):
+                started = dict(zip(free, take(len(free)), strict=False))
                 if started:
                     self._start(started, means, generation, table)
             if not len(self._running):
@@ -126,17 +118,17 @@ class Rollout:
         """Start tasks in free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
         slots: list[int] = []
         seeds: list[int] = []
+        states: list[F64Array | None] = []
         for place, (number, task) in started.items():
             self._perturb(place, task, means, generation.sigma, table)
             slots += [place * self.rows_per_lane + slot for slot in task.slots]
             seeds += task.seeds
-            if self._exploration.is_on:
-                self._exploration.draw(place, task)
+            states += [None if task.start is None else task.start.state] * len(task.slots)
             results = _empty_results(task, self.design.observation_sizes)
             self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
         rows = np.array(slots)
-        starts = [None if task.start is None else task.start.state for _, task in started.values() for _ in task.slots]
-        self.batch.reset(rows, seeds, starts if any(state is not None for state in starts) else ())
+        self._exploration.draw(started)
+        self.batch.reset(rows, seeds, states if any(state is not None for state in states) else ())
         # If none is running, lanes without work start as well: steps are faster if all lanes have the same clock.
         self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
         for place, (_, task) in started.items():
@@ -144,8 +136,6 @@ class Rollout:
                 self.agent.go_on(place, task.start.steps, task.start.goals)
         if self._recorder is not None:
             self._recorder.begin(started)
-        if self._exploration.is_on:
-            self._exploration.upload()
         self._intrinsic_return[self.xp.asarray(rows)] = 0
         self._steps[rows] = 0
         self._is_running[rows] = True

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 from shes.agents.agent import AgentDesign
@@ -88,27 +87,6 @@ def simulator_factory(device: str, nconmax: int | None, njmax: int | None) -> Si
     return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, nconmax=nconmax, njmax=njmax)
 
 
-def _pending_tasks(
-    work: TaskSource, pending: dict[int, EpisodeTask], lanes: int, least: int
-) -> Generator[NumberedTask | None, None, None]:
-    """Yield tasks of `work` and note them in `pending`, so that there are up to `lanes` of them.
-
-    None stands for no task until another one has its result.
-    """
-    asked_at = sys.maxsize  # number of pending tasks after the last question
-    while True:
-        room = lanes - len(pending)
-        if room > 0 and (not pending or len(pending) < asked_at):
-            taken = work.take(room, min(room, least))
-            if not taken:
-                return
-            pending.update(taken)
-            asked_at = len(pending)
-            yield from taken
-        else:
-            yield None
-
-
 class _LogCollector(logging.Handler):
     """Collects the simulator's warnings for the results of the current task, each once per generation."""
 
@@ -184,25 +162,30 @@ class RolloutWorker:
         """Run tasks that are `pending` already, then `work`. Tasks are `pending` until they have a result."""
         assert self._generation is not None, "receive() comes first"
         generation = self._generation
-        self._lanes, least = self.lockstep(generation, share)
-        rollout = self._rollout(generation)
-        tasks = chain(tuple(pending.items()), _pending_tasks(work, pending, self._lanes, least))
+        # As few rounds as possible, all of the same size, for each has its own cost. Only many end with smaller ones.
+        rounds = max(1, -(-share // self._most_lanes(generation, share)))
+        self._lanes = least = max(1, -(-share // rounds))
+        if rounds > 2:
+            least = min(self._lanes, -(-_MIN_ROWS // generation.rows_per_lane))
+        rollout, unfinished = self._rollout(generation), list(pending.items())
+        last_asked = sys.maxsize  # number of pending tasks after the last question
+
+        def take(room: int) -> Sequence[NumberedTask]:
+            nonlocal last_asked
+            taken: Sequence[NumberedTask] = unfinished[:room]
+            del unfinished[:room]
+            if not taken and (not pending or len(pending) < last_asked):
+                taken = work.take(room, min(room, least))
+                pending.update(taken)
+                last_asked = len(pending)
+            return taken
+
         table = self.table.on(rollout.batch.xp)
-        for number, results in rollout.run(tasks, generation, table, work.note_progress):
+        for number, results in rollout.run(take, generation, table, work.note_progress):
             del pending[number]
             lines, self._collector.lines = tuple(self._collector.lines), []
             yield number, replace(results, log=lines) if lines else results
         rollout.batch.check_buffers()
-
-    def lockstep(self, generation: Generation, share: int) -> tuple[int, int]:
-        """Return how many of `share` tasks to run in lockstep, and how few suffice near the end.
-
-        There are as few rounds as possible, all of the same size. Only many rounds end with smaller ones: each round
-        has a cost of its own.
-        """
-        rounds = max(1, -(-share // self._most_lanes(generation, share)))
-        lanes = max(1, -(-share // rounds))
-        return lanes, min(lanes, -(-_MIN_ROWS // generation.rows_per_lane)) if rounds > 2 else lanes
 
     def _rollout(self, generation: Generation) -> Rollout:
         """Return the rollout for this generation. Create it if needed."""
