@@ -117,23 +117,13 @@ def tumbling(name, rng):
 pytestmark = pytest.mark.parametrize("name", [*every_design(), *ANTS])
 
 
-def test_a_design_knows_its_levels(name):
-    design = subject(name).design
-    names = design.level_names
-    assert names in (("policy",), ("primitive",), ("controller", "primitive"))
-    assert design.dims == tuple(policy.num_params for policy in design.policies)
-    assert design.observation_sizes == tuple(policy.sizes[0] for policy in design.policies)
-    assert design.intrinsic_level == (None if names == ("policy",) else len(names) - 1)
-    assert design.decision_size == (design.policies[0].sizes[-1] if len(names) == 2 else 0)
-    agent = design.make(3, EPISODES)
-    assert [level.theta.shape for level in agent.levels] == [(3, dim) for dim in design.dims]
-    assert (agent.goal is None) == (names == ("policy",))
-
-
 def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
     """With noise; in the second lane another member's episodes go on after three steps from where they were."""
     of, members, rng = subject(name), [0, 1], np.random.default_rng(4)
     of = replace(of, design=replace(of.design, control_limit=30.0))
+    names = of.design.level_names
+    assert names in (("policy",), ("primitive",), ("controller", "primitive"))
+    assert of.design.intrinsic_level == (None if names == ("policy",) else len(names) - 1)
     agent, plain = of.agent(members), [of.plain(member) for member in members for _ in range(EPISODES)]
     paid = set()
     for level in agent.levels:

@@ -52,18 +52,6 @@ def test_a_goal_where_the_robot_stands_pays_the_bonus():
     assert np.isfinite(agent.intrinsic_reward(np.array([[10.0, 5.0]]))).all()
 
 
-def test_a_goal_is_reached_once_and_the_next_one_again():
-    agent, counts = deciding((0.75, 0.0), is_minimum=False), []  # goals 3 m to the right
-    act(agent, (0, 0))
-    for x in (1.99, 2.01, 0.0, 3.0):  # just outside 1 m, inside, outside and inside again
-        agent.intrinsic_reward(np.array([[x, 0.0]]))
-        counts.append(agent.goals_reached.tolist())
-    for _ in range(designs.INTERVAL):
-        act(agent, (3, 0))
-    agent.intrinsic_reward(np.array([[6.0, 0.0]]))
-    assert [*counts, agent.goals_reached.tolist()] == [[0], [1], [1], [1], [2]]
-
-
 @pytest.mark.parametrize("change", ["mirror", "turn"])
 def test_an_equivariant_controller_follows_a_changed_world(change):
     """Normalisation included. The heading stays as it is, so a controller that sees it answers mirrored worlds only."""

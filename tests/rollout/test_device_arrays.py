@@ -120,18 +120,6 @@ def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
     assert len(ends) == 4
 
 
-def test_lanes_of_a_device_start_together():
-    started = []
-
-    class Watched(DeviceSimulator):
-        def reset(self, ids):
-            started.append(len(ids))
-            super().reset(ids)
-
-    run("gather", Watched, 3, strict_xp)
-    assert started == [9, 9, 6]
-
-
 def test_the_noise_table_has_one_copy_on_a_device():
     table = NoiseTable(np.random.default_rng(0).standard_normal(1000, dtype=np.float32))
     assert table.on(np) is table

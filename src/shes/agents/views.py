@@ -99,7 +99,8 @@ class ColumnsView(View):
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the selected values."""
-        return tuple(observation_names[i] for i in self.indices or range(len(observation_names)))
+        indices = range(len(observation_names)) if self.indices is None else self.indices
+        return tuple(observation_names[i] for i in indices)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the indices; None stands for all values."""
