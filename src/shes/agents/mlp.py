@@ -94,13 +94,11 @@ class MLP:
 
     def layers(self, weights: F32Array) -> Layers:
         """Return the layers of policies with `weights` [P, W], as `expand` returns them, as views."""
-        policies, start = weights.shape[0], 0
-        found: list[tuple[F32Array, F32Array]] = []
+        found, start = list[tuple[F32Array, F32Array]](), 0
         for fan_in, fan_out in pairwise(self.sizes):
             end = start + fan_in * fan_out
-            found.append(
-                (weights[:, start:end].reshape(policies, fan_in, fan_out), weights[:, None, end : end + fan_out])
-            )
+            own = weights[:, start:end].reshape(len(weights), fan_in, fan_out)
+            found.append((own, weights[:, None, end : end + fan_out]))
             start = end + fan_out
         return tuple(found)
 

@@ -123,9 +123,14 @@ class Rollout:
             self._perturb(place, task, means, generation.sigma, table)
             slots += [place * self.rows_per_lane + slot for slot in task.slots]
             seeds += task.seeds
-            states += [None if task.start is None else task.start.state] * len(task.slots)
-            results = _empty_results(task, self.design.observation_sizes)
-            self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
+            count, sizes = len(task.slots), self.design.observation_sizes
+            results = EpisodeResults(
+                outcomes=empty_outcomes(len(sizes), count),
+                moments=tuple(Moments.zeros(count, size) for size in sizes) if task.records_statistics else None,
+                snapshots=[None] * count,
+            )
+            states += [None if task.start is None else task.start.state] * count
+            self._lanes[place] = _Lane(number=number, task=task, running=set(range(count)), results=results)
         rows = np.array(slots)
         self._exploration.draw(started)
         self.batch.reset(rows, seeds, states if any(state is not None for state in states) else ())
@@ -198,7 +203,9 @@ class Rollout:
                 policy.pool(mine.total[k], mine.total_squares[k])
             if lane.task.kept_slot == slot:
                 has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
-                results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
+                if not has_ended_early:
+                    steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
+                    results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
             if self._recorder is not None:
                 results.snapshots[k] = self._recorder.of(row)
             lane.running.discard(k)
@@ -207,12 +214,6 @@ class Rollout:
                 results.seconds[:] = self._seconds
                 self._seconds[:] = 0
                 yield lane.number, results
-
-    def _snapshot(self, row: int, task: EpisodeTask) -> Snapshot:
-        """Return a snapshot of the end of the episode in `row`."""
-        before = 0 if task.start is None else task.start.steps
-        state = self.batch.states(np.array([row]))[0]
-        return Snapshot(state=state, steps=before + int(self._steps[row]))
 
     def _outcomes(self, rows: IntArray) -> tuple[Outcomes, list[tuple[F64Array, ...]]]:
         """Return the outcomes of the episodes in `rows`, and the moments of each level."""
@@ -265,13 +266,3 @@ class Rollout:
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
                 f"{seed}. Start another run with a lower --learning-rate or --sigma."
             )
-
-
-def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
-    """Return empty results for the episodes of `task`, whose levels have `sizes` inputs."""
-    k = len(task.slots)
-    return EpisodeResults(
-        outcomes=empty_outcomes(len(sizes), k),
-        moments=tuple(Moments.zeros(k, size) for size in sizes) if task.records_statistics else None,
-        snapshots=[None] * k,
-    )
