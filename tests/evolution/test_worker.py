@@ -96,11 +96,26 @@ def test_the_share_of_a_worker_changes_no_bit(share):
     assert returns_of(run(worker)) == returns_of(run(worker, share=share))
 
 
+def test_a_worker_that_got_less_asks_again_only_after_a_result():
+    asked, found = [], []
+
+    class Scarce(TaskList):
+        def take(self, most, least=None):
+            asked.append(len(found))
+            return super().take(1, 1)
+
+    worker = RolloutWorker(a_plan())
+    worker.receive(generation_of(worker.plan))
+    for result in worker.run(Scarce(numbered_tasks(3)), share=3):
+        found.append(result)
+    assert asked == [0, 1, 2, 3]
+
+
 def test_no_more_tasks_are_taken_at_once_than_an_even_share():
     worker, work = RolloutWorker(replace(a_plan(), chunk_size=50)), TaskList(numbered_tasks(8))
     worker.receive(generation_of(worker.plan))
     next(iter(worker.run(work, share=3)))
-    assert len(list(work)) == 5
+    assert len(work.take(9, 9)) == 5
 
 
 @pytest.mark.parametrize(

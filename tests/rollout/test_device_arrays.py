@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.evolution.algorithm import evolve
 from shes.rollout.lockstep import Rollout
@@ -118,6 +118,18 @@ def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
         assert waits.min() == np.median(waits) == 2  # more where episodes ended
         ends.add(found[0].final_position.tobytes())
     assert len(ends) == 4
+
+
+def test_lanes_of_a_device_start_together():
+    started = []
+
+    class Watched(DeviceSimulator):
+        def reset(self, ids):
+            started.append(len(ids))
+            super().reset(ids)
+
+    run("gather", Watched, 3, strict_xp)
+    assert started == [9, 9, 6]
 
 
 def test_the_noise_table_has_one_copy_on_a_device():
