@@ -12,7 +12,8 @@ from shes.rollout.episodes import EpisodeTask, Generation
 from shes.rollout.worker import RolloutWorker, lanes_that_fit
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from tests.rollout.designs import levels_of
+from tests.rollout.designs import both, levels_of
+from tests.rollout.fake_task import FakeEnvironment, make_seed
 
 SETTINGS = {"hidden": (4,), "controller_interval": 5, "noise_table_size": 5000, "horizon": 6, "evaluation_horizon": 9}
 
@@ -97,16 +98,19 @@ def test_the_share_of_a_worker_changes_no_bit(share):
 
 
 def test_a_worker_that_got_less_asks_again_only_after_a_result():
+    """Not when one of a task's two episodes ends."""
     asked, found = [], []
 
     class Scarce(TaskList):
-        def take(self, most, least=None):
+        def take(self, most, least):
             asked.append(len(found))
             return super().take(1, 1)
 
-    worker = RolloutWorker(a_plan())
+    worker = RolloutWorker(replace(a_plan(), env=FakeEnvironment(), design=both()))
     worker.receive(generation_of(worker.plan))
-    for result in worker.run(Scarce(numbered_tasks(3)), share=3):
+    seeds = (make_seed(terminates_after=2), make_seed(terminates_after=4))
+    tasks = [(number, replace(task, seeds=seeds)) for number, task in numbered_tasks(3)]
+    for result in worker.run(Scarce(tasks), share=3):
         found.append(result)
     assert asked == [0, 1, 2, 3]
 
