@@ -128,7 +128,7 @@ def test_lanes_of_a_device_start_together():
             started.append(len(ids))
             super().reset(ids)
 
-    run("gather", Watched, 3, strict_xp)
+    run("falls that end", Watched, 3, strict_xp)
     assert started == [9, 9, 6]
 
 
