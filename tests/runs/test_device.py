@@ -12,22 +12,18 @@ import shes
 import shes.algorithms.problem
 import shes.rollout.worker
 import shes.runs.build
-import shes.runs.provenance
+import shes.runs.folder
 from shes.backends.backend import SerialBackend
 from shes.backends.processes import ProcessesBackend
 from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.machine import num_cores
 from shes.rollout.roll_out import PopulationResults
-from shes.runs import device
-from shes.runs.build import build_algorithm, build_backend
-from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device, check_limits, max_workers, most_episodes
+from shes.runs.build import build_algorithm, build_backend, check_asked_device, check_limits, max_workers, most_episodes
+from shes.runs.config import TrainConfig, WorkerSettings, execution_settings
 from shes.runs.evaluate import evaluate
-from shes.runs.folder import RunFolder
+from shes.runs.folder import RunFolder, provenance
 from shes.runs.make_config import make_config
-from shes.runs.provenance import provenance
-from shes.runs.run_settings import WorkerSettings, execution_settings
 from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES
@@ -57,7 +53,7 @@ def stand_in(monkeypatch):
     monkeypatch.setattr(shes.rollout.worker, "simulator_factory", lambda *_: CpuSimulator)
     monkeypatch.setattr(shes.rollout.worker.RolloutWorker, "_most_lanes", lambda *_: 8)
     monkeypatch.setattr(shes.rollout.worker, "WarpDevice", Device)
-    monkeypatch.setattr(shes.runs.provenance, "WarpDevice", Device)
+    monkeypatch.setattr(shes.runs.folder, "WarpDevice", Device)
     monkeypatch.setattr(shes.algorithms.problem.Problem, "xp", np)
     return facts
 
@@ -204,7 +200,7 @@ def test_a_resume_says_which_versions_have_changed(installed, tmp_path):
 @pytest.fixture
 def small_machine(monkeypatch):
     """A machine with 2 GB of free memory."""
-    monkeypatch.setattr(device, "free_memory", lambda: 2 * 10**9)
+    monkeypatch.setattr(shes.runs.build, "free_memory", lambda: 2 * 10**9)
 
 
 SIZES = ["population_size", "episodes_per_policy", "evaluation_episodes", "horizon", "evaluation_horizon"]
@@ -236,7 +232,7 @@ def test_the_estimate_covers_what_tasks_and_results_take(monkeypatch):
     tracemalloc.stop()
     assert results.outcomes.size == 20_000
     for free, fits in ((taken, False), (6 * taken, True)):
-        monkeypatch.setattr(device, "free_memory", lambda free=free: free)
+        monkeypatch.setattr(shes.runs.build, "free_memory", lambda free=free: free)
         if fits:
             check_limits(config, algorithm.design)
         else:

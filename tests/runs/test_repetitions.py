@@ -5,9 +5,8 @@ import shutil
 import pytest
 
 from shes.errors import ConfigError
-from shes.runs.comparison import compare_runs
+from shes.runs.comparison import compare_runs, differing_settings, repeated_settings, seeds_of
 from shes.runs.folder import RunFolder
-from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
 from shes.runs.train import resume
 from shes.viewing.groups import group_runs, read_run
 from tests.e2e import runs

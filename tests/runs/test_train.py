@@ -11,7 +11,7 @@ from shes.runs import recorder
 from shes.runs.evaluate import Evaluation
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.runs.train import resume
+from shes.runs.train import resume, train
 from tests.e2e import runs
 
 
@@ -72,6 +72,23 @@ def test_training_evaluates_the_policies_that_it_stores(tiny_run):
     ranked = sorted(zip(table["score_mean"], table["return_mean"], table["generation"], strict=True))
     assert ranked[-1] == (best.score, best.mean_return, best.generation)
     assert folder.load("best").generation == best.generation
+
+
+def test_a_run_that_is_not_over_says_how_it_goes_on(tmp_path):
+    path = tmp_path / "run"
+    stopped = train("point-gather", out=path, minutes=1e-9, **runs.TINY)
+    assert stopped.listing().parts[:2] == [
+        "Stopped: 0 of 4 generations, no evaluation yet.",
+        f"Go on: shes resume {path}",
+    ]
+    first, then = resume(path).listing().parts
+    assert first.startswith("Done: 4 generations, best evaluation score")
+    assert then.startswith("Next: ")
+
+
+def test_several_seeds_are_several_calls():
+    with pytest.raises(ConfigError, match=r"seed must be one number, got \[1, 2\]: .* shes train ENV --seed 1 2 3"):
+        train("point-gather", preset="smoke", seed=[1, 2])
 
 
 def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):

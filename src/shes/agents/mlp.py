@@ -16,10 +16,9 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from shes.checked import checked
 from shes.es.level import LevelParameters
 from shes.es.statistics import CLIP, Moments
-from shes.settings import Example, Ge
+from shes.settings import Example, Ge, checked
 from shes.types import F32Array, F64Array, FloatArray, IntArray
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
