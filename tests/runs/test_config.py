@@ -10,8 +10,7 @@ import gymnasium
 import pytest
 
 import shes
-from shes.agents.goals import GOAL_ENCODINGS
-from shes.agents.outputs import CONTROLLER_OUTPUTS, VectorOutput
+from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, VectorOutput
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids

@@ -18,7 +18,7 @@ from shes.backends.processes import ProcessesBackend
 from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.machine import num_cores
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.runs.build import build_algorithm, build_backend, check_asked_device, check_limits, max_workers, most_episodes
 from shes.runs.config import TrainConfig, WorkerSettings, execution_settings
 from shes.runs.evaluate import evaluate
