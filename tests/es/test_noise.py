@@ -119,7 +119,7 @@ def test_a_damaged_file_is_replaced_and_not_overwritten(tmp_path, content, damag
     ("call", "failure", "error", "message"),
     [
         ((os, "fsync"), OSError(errno.ENOSPC, ""), StorageError, r"disk is full.*SHES_CACHE_DIR.*--noise-table-size"),
-        ((Path, "replace"), OSError(errno.EIO, ""), StorageError, r"cannot write .*noise-v1-5000-123\.f32"),
+        ((Path, "replace"), OSError(errno.EIO, ""), StorageError, r"cannot write .*noise-v2-5000-123\.f32"),
         ((os, "fsync"), KeyboardInterrupt(), KeyboardInterrupt, None),
     ],
 )
@@ -128,7 +128,7 @@ def test_a_failed_build_changes_nothing(tmp_path, monkeypatch, old, call, failur
         raise failure
 
     if old:
-        (tmp_path / f"noise-v1-5000-{NOISE_SEED}.f32").write_bytes(old)
+        (tmp_path / f"noise-v2-5000-{NOISE_SEED}.f32").write_bytes(old)
     monkeypatch.setattr(*call, fail)
     with pytest.raises(error, match=message):
         NoiseTable.open(5000, directory=tmp_path)
@@ -157,7 +157,7 @@ def test_the_next_table_removes_a_killed_builders_file(tmp_path):
     builder.kill()
     builder.communicate()
     NoiseTable.open(100, directory=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["noise-v1-100-123.f32"]
+    assert [path.name for path in tmp_path.iterdir()] == ["noise-v2-100-123.f32"]
 
 
 @pytest.mark.parametrize(("kind", "where"), [("memory", "of memory"), ("disk", "on the disk of .*")])

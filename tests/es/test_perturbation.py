@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError, UnknownNameError
-from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, group_weights, sign_matrix
+from shes.es.level import group_weights
+from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, sign_matrix
 from tests.es.textbook import SIGNS, group_signs
 
 BOTH, CONTROLLER_ALONE, PRIMITIVE_ALONE = (True, True), (True, False), (False, True)

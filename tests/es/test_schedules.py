@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.es.schedules import Schedule
+from shes.evolution.estimates import Schedule
 
 values = st.floats(1e-6, 1e6)
 

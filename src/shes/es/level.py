@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from shes.checked import checked
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
-from shes.es.perturbation import group_weights
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
 from shes.settings import Ge
@@ -91,6 +90,20 @@ class UpdateRule:
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
 
+    def shape(self, fitness: F64Array, signs: NDArray[np.int8], falls: F64Array | None = None) -> F64Array:
+        """Return the shaped fitness [n'] of the members that perturb a level, given the signs [G, M] of all.
+
+        `fitness` [n] and the mean number of `falls` [n] are those of all members.
+        """
+        active = select_fitness(fitness, signs)
+        if not len(active):
+            return active
+        shaped = self.shaping(active)
+        if self.fall_price and falls is not None:
+            own = select_fitness(falls, signs)
+            shaped = shaped - self.fall_price * (own - own.mean())
+        return shaped
+
 
 @dataclass(frozen=True, kw_only=True)
 class LevelUpdate:
@@ -132,6 +145,17 @@ def perturb(theta: F32Array, noise: F32Array, scale: float, out: F32Array) -> No
 def select_fitness(fitness: F64Array, signs: NDArray[np.int8]) -> F64Array:
     """Return the fitness [n'] of the members that perturb a level, given all fitness [n] and the signs [G, M]."""
     return fitness.reshape(signs.shape)[signs.any(axis=1)].ravel()
+
+
+def group_weights(shaped: F64Array, signs: NDArray[np.int8]) -> F32Array:
+    """Return one weight [G] per noise vector: the sum of its members' shaped fitness [n], with their signs [G, M].
+
+    Values are sorted, so that equal ones on both sides cancel exactly. Optimizers that ignore the gradient's length
+    would take a rounding error for a direction.
+    """
+    values = shaped.reshape(signs.shape)
+    plus, minus = (np.sort(np.where(side, values, 0.0), axis=1).sum(axis=1) for side in (signs > 0, signs < 0))
+    return (plus - minus).astype(np.float32)
 
 
 def update_level(  # noqa: PLR0917 - the terms of a formula
@@ -193,10 +217,8 @@ def _length(vector: F32Array) -> float:
 
 def _cosine(a: F32Array, b: F32Array) -> float:
     """Return the cosine between `a` and `b` [D], or NaN if one of them is zero."""
-    product = float((a.astype(np.float64) * b).sum())
-    return _ratio(product, _length(a) * _length(b))
+    return _ratio(float((a.astype(np.float64) * b).sum()), _length(a) * _length(b))
 
 
 def _ratio(part: float, whole: float) -> float:
-    """Return `part / whole`, or NaN if `whole` is 0."""
     return part / whole if whole else np.nan

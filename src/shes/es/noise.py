@@ -1,7 +1,8 @@
 """The noise table and the gradient estimate, a weighted sum of its slices.
 
-The table is a file of standard normals, memory-mapped and shared by all processes of a machine. It is generated once
-from its seed, written atomically, and cached between runs. A perturbation is sent as one integer, the start of a slice.
+The table is a file of standard normals and their CRC-32, memory-mapped and shared by all processes of a machine. It is
+generated once from its seed, written atomically, and cached between runs. A perturbation is sent as one integer, the
+start of a slice.
 
 Source: Salimans et al. 2017, section 2.1; SHES paper II-A, and Algorithm 1 lines 4 and 5.
 """
@@ -11,12 +12,13 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-from collections.abc import Generator
+import zlib
+from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import IO, Annotated
+from typing import IO, Annotated, Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -34,9 +36,9 @@ NOISE_SEED = 123
 """Seed of the table, as in the authors' code."""
 DEFAULT_TABLE_SIZE = 25_000_000
 """Normals in the table of a run without a setting for it."""
-_FORMAT = 1  # part of the file name; increase it if the numbers ever change
+_FORMAT = 2  # part of the file name; increase it if the numbers or the layout ever change
 _NAME = re.compile(rf"noise-v{_FORMAT}-(\d+)-(\d+)\.f32")  # of a table's file: size and seed
-_BLOCK = 1 << 20  # normals drawn at a time; each block has its own random stream
+_BLOCK = 1 << 20  # normals drawn at a time
 _CHECKED = 4096  # normals generated again when a cached file is opened
 _COLUMNS = 65536  # parameters summed at a time: enough that two threads do not wait for Python's lock
 
@@ -69,8 +71,10 @@ def _one_process_at_a_time(folder: Path) -> Generator[None]:
         os.close(lock)
 
 
-def _block(seed: int, number: int, length: int) -> F32Array:
-    return table_stream(seed, number).standard_normal(length, dtype=np.float32)
+def _blocks(size: int, seed: int) -> Iterator[bytes]:
+    """Yield the normals of a table, each block from a random stream of its own."""
+    for number, start in enumerate(range(0, size, _BLOCK)):
+        yield table_stream(seed, number).standard_normal(min(_BLOCK, size - start), dtype=np.float32).tobytes()
 
 
 def _path(size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> Path:
@@ -90,6 +94,10 @@ class NoiseTable:
         self.path = path
         self.xp = xp
         """Array module of the values."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle a table as the path of its file."""
+        return (NoiseTable, (to_host(self.values),)) if self.path is None else (NoiseTable.open_copy, (self.path,))
 
     @property
     def size(self) -> int:
@@ -128,17 +136,15 @@ class NoiseTable:
     ) -> NoiseTable:
         """Open the cached table of `size` normals from `seed`. If its file is missing or damaged, generate it first.
 
-        The file's length and its first normals are checked.
-
         Raises:
             ConfigError: `size` is not positive, or the table fits neither the memory nor the disk.
             StorageError: The cache folder cannot be written.
         """
         path = _path(size, seed, directory)
         remove_abandoned(path.parent, "noise-*")  # of tables of any size, whose builders were killed
-        if not cls._is_intact(path, size, seed):
-            cls._check_room(path, size)
-            cls._build(path, size, seed)
+        if not _is_intact(path, size, seed):
+            cls.check_room(size, path)
+            _build(path, size, seed)
         return cls._map(path)
 
     @classmethod
@@ -153,7 +159,7 @@ class NoiseTable:
             ConfigError: The table fits neither the memory nor the disk of this machine.
         """
         named = _NAME.fullmatch(path.name)
-        if named is None or cls._is_intact(path, int(named[1]), int(named[2])):
+        if named is None or _is_intact(path, int(named[1]), int(named[2]), has_crc=False):
             return cls._map(path)
         with _one_process_at_a_time(default_cache_dir()):
             return cls.open(int(named[1]), int(named[2]))
@@ -162,30 +168,16 @@ class NoiseTable:
     def _map(cls, path: Path) -> NoiseTable:
         try:
             # As a plain array: a memmap is slower to slice, and an update slices it for every group and block.
-            return cls(np.asarray(np.memmap(path, dtype=np.float32, mode="r")), path)
+            return cls(np.asarray(np.memmap(path, dtype=np.float32, mode="r"))[:-1], path)
         except (OSError, ValueError) as error:
             raise StorageError(f"the noise table {path} cannot be opened: {error}. Start the run again.") from error
 
     @staticmethod
-    def _is_intact(path: Path, size: int, seed: int) -> bool:
-        """Return whether the file has the right length and beginning."""
-        try:
-            with path.open("rb", buffering=0) as file:
-                head = file.read(4 * min(_CHECKED, size))
-                length = os.fstat(file.fileno()).st_size
-        except OSError:
-            return False
-        return length == 4 * size and head == _block(seed, 0, min(_CHECKED, size)).tobytes()
-
-    @classmethod
-    def check_room(cls, size: int) -> None:
-        """Raise ConfigError unless the table of `size` normals exists or fits the memory and the disk."""
-        path = _path(size)
-        if not path.exists():
-            cls._check_room(path, size)
-
-    @staticmethod
-    def _check_room(path: Path, size: int) -> None:
+    def check_room(size: int, path: Path | None = None) -> None:
+        """Raise ConfigError unless the table of `size` normals, at `path`, is there or fits the memory and the disk."""
+        path = path or _path(size)
+        if path.exists():
+            return
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
                 raise ConfigError(
@@ -193,23 +185,37 @@ class NoiseTable:
                     f"are free. Set --noise-table-size {free // 4} at most, or point SHES_CACHE_DIR at a larger disk."
                 )
 
-    @staticmethod
-    def _build(path: Path, size: int, seed: int) -> None:
-        """Generate the table and move it into place, so that no process ever sees an unfinished file."""
 
-        def write(file: IO[bytes]) -> None:
-            for number in range(-(-size // _BLOCK)):
-                file.write(_block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes())
+def _is_intact(path: Path, size: int, seed: int, *, has_crc: bool = True) -> bool:
+    """Return whether the file has the right length and beginning and, unless `has_crc` is false, the right CRC."""
+    try:
+        content = np.memmap(path, dtype=np.uint32, mode="r")
+    except (OSError, ValueError):
+        return False
+    beginning = next(_blocks(min(_CHECKED, size), seed))
+    is_table = len(content) == size + 1 and content[:_CHECKED].tobytes().startswith(beginning)
+    return is_table and (not has_crc or zlib.crc32(content[:-1]) == content[-1])
 
-        try:
-            with storage_errors(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, write)
-        except StorageError as error:
-            raise StorageError(
-                f"the noise table ({_in_words(4 * size)}) cannot be kept: {error} "
-                "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
-            ) from error
+
+def _build(path: Path, size: int, seed: int) -> None:
+    """Generate the table and move it into place, so that no process ever sees an unfinished file."""
+
+    def write(file: IO[bytes]) -> None:
+        crc = 0
+        for block in _blocks(size, seed):
+            file.write(block)
+            crc = zlib.crc32(block, crc)
+        file.write(np.uint32(crc).tobytes())
+
+    try:
+        with storage_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, write)
+    except StorageError as error:
+        raise StorageError(
+            f"the noise table ({_in_words(4 * size)}) cannot be kept: {error} "
+            "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
+        ) from error
 
 
 _COPIES: WeakValueDictionary[tuple[str, Path | int], NoiseTable] = WeakValueDictionary()
@@ -219,11 +225,10 @@ _COPIES: WeakValueDictionary[tuple[str, Path | int], NoiseTable] = WeakValueDict
 def weighted_noise_sum(
     table: NoiseTable, noise_index: IntArray, weights: F32Array, dim: int, pool: ThreadPoolExecutor | None = None
 ) -> F32Array:
-    """Return `sum_g weights[g] * noise(noise_index[g])` [dim].
+    """Return `sum_g weights[g] * noise(noise_index[g])` [dim], over groups: their members share a noise vector.
 
     The result is bit-identical for any number of threads and on any processor or GPU: columns are cut into fixed
-    blocks, and each block is summed group by group with elementwise operations, without BLAS. The members of a group
-    share a noise vector, so the sum runs over groups instead of members.
+    blocks, and each block is summed group by group with elementwise operations, without BLAS.
 
     Args:
         table: The noise table. The sum is computed on its device.
@@ -235,20 +240,15 @@ def weighted_noise_sum(
     total = table.xp.zeros(dim, dtype=np.float32)
     groups = [(int(noise_index[g]), np.float32(weights[g])) for g in np.flatnonzero(weights)]
 
-    def sum_block(start: int) -> None:
-        _sum_columns(table.values, groups, start, total[start : start + _COLUMNS])
+    def sum_columns(start: int, number: int = _COLUMNS) -> None:
+        out = total[start : start + number]
+        product = np.empty_like(out)
+        for index, weight in groups:
+            np.multiply(table.values[index + start : index + start + len(out)], weight, out=product)
+            np.add(out, product, out=out)
 
     if table.xp is not np:  # one block: a GPU has its own threads, and those of the pool would use another stream
-        _sum_columns(table.values, groups, 0, total)
+        sum_columns(0, dim)
         return to_host(total)
-    list((map if pool is None else pool.map)(sum_block, range(0, dim, _COLUMNS)))
+    list((map if pool is None else pool.map)(sum_columns, range(0, dim, _COLUMNS)))
     return total
-
-
-def _sum_columns(values: F32Array, groups: list[tuple[int, np.float32]], start: int, out: F32Array) -> None:
-    """Add every group's weighted noise of the columns from `start` on to `out` [columns]."""
-    product = np.empty_like(out)
-    for index, weight in groups:
-        begin = index + start
-        np.multiply(values[begin : begin + len(out)], weight, out=product)
-        np.add(out, product, out=out)

@@ -12,10 +12,9 @@ from shes.algorithms.problem import Problem
 from shes.es.level import LevelState, UpdateRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.schedules import Schedule
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.evolution.archive import Archive
-from shes.evolution.estimates import Hyperparameters, IntervalEstimate
+from shes.evolution.estimates import Hyperparameters, IntervalEstimate, Schedule
 from shes.evolution.evolution_settings import HierarchySettings
 from shes.evolution.state import TrainState
 from shes.evolution.way_search import SLICES, WaySearch
