@@ -11,9 +11,9 @@ from shes.backends.serial import SerialBackend
 from shes.es.level import LevelState, LevelUpdate
 from shes.es.optimizers import Adam
 from shes.evolution.algorithm import GenerationReport, evolve
-from shes.evolution.strategies import columns
 from shes.evolution.estimates import Population
 from shes.evolution.state import TrainState
+from shes.evolution.strategies import columns
 from shes.rollout.episodes import PARTS, Generation
 from shes.rollout.results import PopulationResults
 from shes.rollout.worker import RolloutWorker

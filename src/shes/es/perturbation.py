@@ -89,11 +89,20 @@ class Perturbation(ABC):
             mirrored: How the members of a group mirror its noise: one of `MIRRORINGS`.
             learns: Whether each level learns. A level that does not is never perturbed.
         """
+        self.check_size(population_size, mirrored, learns)
         parts = self.parts(generation, np.flatnonzero(learns).tolist())
         rows = sign_matrix(mirrored, len(parts[0]))
-        members, whole = len(rows), len(rows) * len(parts)
+        signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)
+        for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
+            part[:, :, levels] = rows
+        return signs
+
+    def check_size(self, population_size: int, mirrored: str, learns: Sequence[bool]) -> None:
+        """Raise ConfigError unless the members fill whole groups; see `signs`."""
+        parts = self.parts(0, np.flatnonzero(learns).tolist())
+        levels, members = len(parts[0]), len(sign_matrix(mirrored, len(parts[0])))
+        whole, perturbed = members * len(parts), f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
         if population_size <= 0 or population_size % whole:
-            perturbed = f"{len(parts[0])} level{'s are' if len(parts[0]) > 1 else ' is'} perturbed"
             group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
             if len(parts) > 1:
                 group = f"a group of {members} with {mirrored!r} mirroring for each level that learns"
@@ -102,10 +111,6 @@ class Perturbation(ABC):
                 f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
                 f"Set --population-size {lower} or {lower + whole}."
             )
-        signs = np.zeros((population_size // members, members, len(learns)), dtype=np.int8)
-        for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
-            part[:, :, levels] = rows
-        return signs
 
 
 class ManyToMany(Perturbation):

@@ -91,7 +91,7 @@ class EvolutionStrategy:
             shaping=make(FITNESS_SHAPINGS, fitness_shaping, options),
             optimizer=make(OPTIMIZERS, optimizer, options),
         )
-        self.perturbation.signs(0, population_size, mirrored, [True] * len(dims))  # checks the population size
+        self.perturbation.check_size(population_size, mirrored, [True] * len(dims))
         self.table = NoiseTable.open(noise_table_size)
         self.table.check_dim(max(self.dims))
         self.state = self._start(initial, seed) if state is None else state

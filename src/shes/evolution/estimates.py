@@ -1,10 +1,11 @@
 """The populations of a generation: what is drawn for their members, by whole episodes or by intervals.
 
 An episode evaluates every level that it perturbs (SHES paper, Algorithm 1). The interval estimate evaluates a primitive
-alone: a mirrored pair plays the next intervals from the same physics state on the same goals. The two differ only in
-their perturbation, and an environment step evaluates many more directions than in whole episodes. Under a controller,
-pairs branch off snapshots of the whole episodes. If the environment sets the goals, pairs continue from the end of an
-earlier pair, in episodes that run from generation to generation.
+alone: a mirrored pair plays the next intervals from the same physics state on the same goals, which differ only in
+their perturbation. Under a controller, pairs branch off snapshots of the whole episodes. If the environment sets the
+goals, pairs continue from the end of an earlier pair, in episodes that run from generation to generation.
+
+G groups of M members, E episodes per member, L levels, S values of a physics state.
 
 Source: SHES paper, II-A, II-E, II-F; `docs/learning.md` (intervals); compare the "vine" estimate of Schulman et al.
 2015 (TRPO), section 5.2.
@@ -28,11 +29,8 @@ from shes.streams import Purpose, stream
 from shes.types import IntArray
 
 _ENOUGH_ROWS = 3
-"""Number of episodes per member from which each member has a matmul of its own.
-
-A matmul shared by several members always has the rows of all of them. On a cluster, where a worker may run only a few
-episodes, this would cost more than it saves.
-"""
+"""Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all members,
+which costs more than it saves where a worker runs only a few episodes."""
 COMMON_RANDOM_NUMBERS = ("off", "group", "population")
 """Which members share episode seeds: none, those of a mirrored group, or the whole population.
 
@@ -77,11 +75,6 @@ class IntervalEstimate:
     """Half width in metres of the square from which goals are drawn if there is no snapshot."""
     sigma: Schedule
     learning_rate: Schedule
-
-    @property
-    def num_pairs(self) -> int:
-        """Number of mirrored pairs per generation, G."""
-        return self.population_size // 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,15 +233,16 @@ def draw_pairs(
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue.
     """
-    estimate, generation = settings.intervals, state.generation
+    estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
-    groups, level = estimate.num_pairs, len(state.levels) - 1
-    primitive = state.levels[level]
+    groups, primitive = estimate.population_size // 2, state.levels[level]
     noise_index = draw_noise_index(state.seed, generation, groups, (len(primitive.theta),), table_size, level)
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
     if before:
-        starts = _drawn_starts(rng, [each for one in before for each in one.results.snapshots.values()], estimate)
+        starts = _drawn_starts(
+            rng, [each for one in before for each in one.results.snapshots.values()], estimate, groups
+        )
     else:
         starts = _running_starts(state.running, groups)
     tasks = [
@@ -288,18 +282,17 @@ def _running_starts(running: RunningEpisodes | None, groups: int) -> list[Snapsh
 
 
 def _drawn_starts(
-    rng: np.random.Generator, snapshots: Sequence[Snapshot], estimate: IntervalEstimate
+    rng: np.random.Generator, snapshots: Sequence[Snapshot], estimate: IntervalEstimate, groups: int
 ) -> list[Snapshot | None]:
     """Return a snapshot for each pair: all `snapshots` in random order, repeated as necessary.
 
     Without snapshots, because every episode ended too early, pairs start at a reset with random goals.
     """
     if not snapshots:
-        shape = (estimate.num_pairs, estimate.intervals, 2)
-        goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, shape)
+        goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, (groups, estimate.intervals, 2))
         return [Snapshot(state=None, steps=0, goals=own) for own in goals]
     order = rng.permutation(len(snapshots))
-    return [snapshots[order[group % len(order)]] for group in range(estimate.num_pairs)]
+    return [snapshots[order[group % len(order)]] for group in range(groups)]
 
 
 def next_running(pairs: Population, horizon: int) -> RunningEpisodes | None:
