@@ -20,7 +20,7 @@ from shes.baselines.learning import (
     correction_errors,
 )
 from shes.baselines.levels import Level, flat
-from shes.baselines.replay import Replay
+from shes.baselines.levels import Replay
 from shes.es.statistics import normalise
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

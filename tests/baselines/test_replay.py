@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from shes.baselines.replay import Replay
+from shes.baselines.levels import Replay
 
 CAPACITY, SLACK = 7, 3
 EMPTY = Replay(shapes={"inputs": (2,), "reward": ()}, capacity=CAPACITY, slack=SLACK)

@@ -167,14 +167,6 @@ class Algorithm(ABC, Generic[StateT]):
     """Whether it learns in the main process, so that workers only evaluate."""
 
     @staticmethod
-    def check_installed(name: str) -> None:
-        """Check that the packages that training needs are installed. `name` is the algorithm's, for messages.
-
-        Raises:
-            MissingExtraError: One is not.
-        """
-
-    @staticmethod
     def check(settings: Any) -> None:
         """Check combinations of values of its settings; `settings.SECTION.NAME` is a value.
 

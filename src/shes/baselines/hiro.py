@@ -8,74 +8,23 @@ Source: Nachum et al. 2018, Algorithm 1.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from shes.agents.mlp import RectifiedMLP
+from shes.agents.views import ColumnsView
 from shes.algorithms.problem import Problem
-from shes.baselines.collector import Actor, Collector, Step, as_float32
+from shes.baselines.collector import Collector, Step, as_float32
 from shes.baselines.hiro_agent import HiroDesign
 from shes.baselines.learner_settings import HIRO_SECTIONS
-from shes.baselines.levels import Level
-from shes.baselines.replay import Rows
-from shes.baselines.td3 import TD3, TD3State, check_problem
+from shes.baselines.levels import Level, Rows
+from shes.baselines.td3 import TD3, check_problem
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.settings import Settings
 from shes.types import BoolArray, F64Array, IntArray
-
-
-class HIRO(TD3):
-    """Trains controller and primitive by gradients. Source: Nachum et al. 2018.
-
-    Two levels of TD3 learn from one stream of experience, with the off-policy correction.
-    """
-
-    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
-    design: HiroDesign
-
-    def make_design(self, problem: Problem) -> HiroDesign:
-        """Return the design of the agents; raise ConfigError if HIRO cannot learn in this problem."""
-        own, goals = problem.settings.learner, problem.settings.goals
-        if goals.controller_interval > problem.horizon:
-            raise ConfigError(
-                f"controller_interval is {goals.controller_interval}, but episodes have {problem.horizon} steps "
-                "(horizon): the controller would never learn. Set --controller-interval lower, or --horizon higher."
-            )
-        values = {"controller_interval": goals.controller_interval, "input_clip": own.input_clip}
-        return HiroDesign.of(check_problem(problem), own.hidden, goals.goal_distance, **values)
-
-    def make_levels(self) -> tuple[Level, ...]:
-        """Return the controller and the primitive."""
-        design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
-        of_interval = {
-            "goal": (size,),
-            "change": (size,),
-            "moved": (interval, size),
-            "view": (interval, design.primitive.sizes[0] - size),
-            "actions": (interval, design.primitive.sizes[-1]),
-            "is_step": (interval,),
-        }
-        noise = self.problem.settings.goals.goal_noise
-        return self.make_level("controller", design.half_range, noise, of_interval), *super().make_levels()
-
-    def make_collector(self, batch: EpisodeBatch, actors: Mapping[str, Actor]) -> Collector:
-        """Return the collector of experience in `batch`."""
-        return HiroCollector(self.design, batch, actors, self.problem.horizon, self.settings)
-
-    def make_learners(self, learning: Any, state: TD3State) -> dict[str, Any]:
-        """Return the learner of each level by name, of module `learning`."""
-        upper, lower = zip(self.levels, state.learners, strict=True)
-        primitive = learning.LevelLearner(*lower)
-        return {"controller": learning.ControllerLearner(*upper, primitive), "primitive": primitive}
-
-    def updates_due(self, before: int, now: int) -> Iterator[tuple[str, int]]:
-        """Yield the level and the number of the updates that are due for the environment steps `before` to `now`."""
-        yield from super().updates_due(before, now)
-        interval = self.problem.settings.goals.controller_update_interval
-        for _ in range(now // interval - before // interval):
-            yield "controller", 1
 
 
 class HiroCollector(Collector):
@@ -87,11 +36,9 @@ class HiroCollector(Collector):
     Deviation: in HIRO's code the goal of the first step of an episode is zero.
     """
 
-    acting = "primitive"
-
-    def __init__(self, design: HiroDesign, batch: EpisodeBatch, *arguments: Any) -> None:
-        """Play with agents of `design`; for the other arguments see `Collector`."""
-        super().__init__(batch, *arguments)
+    def __init__(self, batch: EpisodeBatch, design: HiroDesign, *arguments: Any) -> None:
+        """Play with agents of `design`; see `Collector`."""
+        super().__init__(batch, design, *arguments)
         n, c, size = batch.num_episodes, design.controller_interval, design.decision_size
         self._design, self._interval = design, c
         self._columns = list(design.primitive_view.indices or ())
@@ -153,7 +100,7 @@ class HiroCollector(Collector):
         """Let the controllers of episodes `rows` set new goals."""
         if not len(rows):
             return
-        self._goal[rows] = self.actors["controller"].act(self.observation, rng)[rows]
+        self._goal[rows] = self.actors[0].act(self.observation, rng)[rows]
         self._first["inputs"][rows], self._first["goal"][rows] = self.observation[rows], self._goal[rows]
         self._origin[rows], self._earned[rows] = self._coordinates[rows], 0
 
@@ -172,3 +119,53 @@ class HiroCollector(Collector):
             "is_step": np.arange(self._interval) < num_steps[:, None],
         }
         return as_float32(rows)
+
+
+class HIRO(TD3):
+    """Trains controller and primitive by gradients. Source: Nachum et al. 2018."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
+    collector: ClassVar[type[Collector]] = HiroCollector
+    design: HiroDesign
+
+    def make_design(self, problem: Problem) -> HiroDesign:
+        """Return the design of the agents; raise ConfigError if HIRO cannot learn in this problem.
+
+        Deviation: the primitive sees the robot without x and y, and the time; in HIRO x and y are zero.
+        """
+        own, goals, task = problem.settings.learner, problem.settings.goals, check_problem(problem)
+        if goals.controller_interval > problem.horizon:
+            raise ConfigError(
+                f"controller_interval is {goals.controller_interval}, but episodes have {problem.horizon} steps "
+                "(horizon): the controller would never learn. Set --controller-interval lower, or --horizon higher."
+            )
+        task.check_position()
+        half_range = (*(goals.goal_distance,) * 2, *(task.robot.goal_half_range if task.robot else ()))
+        time = [i for i, name in enumerate(task.observation_names) if name == "time"]
+        seen = [i for i in (*task.proprioception.tolist(), *time) if i not in task.position_columns]
+        return HiroDesign(
+            controller=RectifiedMLP(task.observation_size, own.hidden, len(half_range)),
+            primitive=RectifiedMLP(len(half_range) + len(seen), own.hidden, task.action_size),
+            primitive_view=ColumnsView(seen),
+            half_range=half_range,
+            columns=tuple(task.proprioception[: len(half_range)].tolist()) if task.robot else None,
+            control_limit=task.control_limit,
+            controller_interval=goals.controller_interval,
+            input_clip=own.input_clip,
+        )
+
+    def make_levels(self) -> tuple[Level, ...]:
+        """Return the controller and the primitive."""
+        design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
+        of_interval = {
+            "goal": (size,),
+            "change": (size,),
+            "moved": (interval, size),
+            "view": (interval, design.primitive.sizes[0] - size),
+            "actions": (interval, design.primitive.sizes[-1]),
+            "is_step": (interval,),
+        }
+        goals = self.problem.settings.goals
+        controller = self.make_level("controller", design.half_range, goals.goal_noise, of_interval)
+        return replace(controller, update_interval=goals.controller_update_interval), *super().make_levels()

@@ -15,7 +15,6 @@ import numpy as np
 from shes.agents.agent import AgentBatch, AgentDesign
 from shes.agents.mlp import MLP, RectifiedMLP
 from shes.agents.views import ColumnsView
-from shes.envs.episode_batch import EpisodeBatch
 from shes.es.statistics import normalise
 from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 
@@ -35,29 +34,6 @@ class HiroDesign(AgentDesign):
     """Largest goal in each coordinate [G], in metres and radians."""
     columns: tuple[int, ...] | None
     """Indices of the coordinates in the observation; None for the position of an environment that observes none."""
-
-    @classmethod
-    def of(cls, task: EpisodeBatch, hidden: tuple[int, ...], goal_distance: float, **values: Any) -> HiroDesign:
-        """Return the design of agents in `task`, with `values` of the other fields.
-
-        Deviation: the primitive sees the robot without x and y, and the time; in HIRO x and y are zero.
-
-        Raises:
-            ConfigError: The robot's position is unknown.
-        """
-        task.check_position()
-        half_range = (goal_distance, goal_distance, *(task.robot.goal_half_range if task.robot else ()))
-        time = [i for i, name in enumerate(task.observation_names) if name == "time"]
-        seen = [i for i in (*task.proprioception.tolist(), *time) if i not in task.position_columns]
-        return cls(
-            controller=RectifiedMLP(task.observation_size, hidden, len(half_range)),
-            primitive=RectifiedMLP(len(half_range) + len(seen), hidden, task.action_size),
-            primitive_view=ColumnsView(seen),
-            half_range=half_range,
-            columns=tuple(task.proprioception[: len(half_range)].tolist()) if task.robot else None,
-            control_limit=task.control_limit,
-            **values,
-        )
 
     @property
     def networks(self) -> dict[str, MLP]:

@@ -12,7 +12,8 @@ the measure of the correction, are those of HIRO's code.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, TypeAlias
 
@@ -22,9 +23,8 @@ import numpy as np
 import optax
 
 from shes.baselines.learner_settings import LearnerSettings
-from shes.baselines.levels import Learner, LearnerState, Level, Network
-from shes.baselines.replay import Rows
-from shes.errors import DivergenceError
+from shes.baselines.levels import Learner, LearnerState, Level, Network, Rows
+from shes.errors import ConfigError, DivergenceError
 from shes.es.statistics import normalise
 from shes.types import F32Array, FloatArray
 
@@ -39,6 +39,21 @@ Batch: TypeAlias = Mapping[str, Any]
 units of the environment; `reward`; `goes_on`, 0 where the next state has no value; `noise` [A], standard normals."""
 LOSSES = ("critic_loss", "actor_loss", "value")
 """Losses of an update; NaN for an actor that it does not change. `value` is the mean target of the critics."""
+
+
+def check_device() -> None:
+    """Raise ConfigError if JAX finds no device."""
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        raise ConfigError(f"JAX cannot compute here: {error}. Unset JAX_PLATFORMS, or set it to cpu.") from error
+
+
+@contextmanager
+def plain_settings() -> Iterator[None]:
+    """Use JAX's default types and broadcasting in the block, whatever a script or the environment has set."""
+    with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
+        yield
 
 
 def act(actor: Network, inputs: Array, half_range: Any) -> Array:
@@ -114,6 +129,14 @@ def compiled_update(settings: LearnerSettings, half_range: tuple[float, ...]) ->
     """
     one = partial(update, settings, half_range)
     return jax.jit(lambda learner, batches: jax.lax.scan(one, learner, batches), donate_argnums=0)
+
+
+def make_learners(levels: Sequence[Level], states: Sequence[LearnerState]) -> dict[str, LevelLearner]:
+    """Return the learner of each level by name. The level that acts every step comes last."""
+    *upper, lower = zip(levels, states, strict=True)
+    acting = LevelLearner(*lower)
+    learners = [*(ControllerLearner(level, state, acting) for level, state in upper), acting]
+    return {learner.level.name: learner for learner in learners}
 
 
 class LevelLearner:
@@ -229,9 +252,7 @@ def correction_errors(
         goals: Candidates [B, J, G] at the start of each interval.
         intervals: Of each step: `moved`, the change of the coordinates since the start [B, c, G]; `view`, as the
             network sees it [B, c, V]; `actions`, in control limits [B, c, A]; `is_step`, 0 if a fall cut it off [B, c].
-        mean: Mean of goals by which the network's inputs are normalised [G].
-        inverse_std: Inverse of their standard deviation [G].
-        clip: Largest absolute value of a normalised input.
+        mean: Mean of goals [G] by which the network's inputs are normalised, with `inverse_std` [G] and `clip`.
     """
     rolled = goals[:, :, None] - intervals["moved"][:, None]  # the goal transition, from the start of the interval
     scaled = jnp.clip((rolled - mean) * inverse_std, -clip, clip)
