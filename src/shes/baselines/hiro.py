@@ -1,30 +1,142 @@
 """HIRO: two levels of TD3 that learn from one stream of experience, with the off-policy correction.
 
-N environments, O observed values, V values of the primitive's view, G coordinates of a goal, A controls, c steps.
+A controller sets a goal in the robot's own coordinates every c steps, and a primitive pursues it. Agents act by NumPy
+alone, so that a run can be evaluated and drawn without JAX.
 
-Source: Nachum et al. 2018, Algorithm 1.
+N environments, O observed values, V values of the primitive's view, G coordinates of a goal, A controls.
+
+Source: Nachum et al. 2018, Algorithm 1, section 3 and appendix C.1; its published code.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.agents.mlp import RectifiedMLP
+from shes.agents.agent import AgentBatch, AgentDesign
+from shes.agents.mlp import MLP, RectifiedMLP
 from shes.agents.views import ColumnsView
 from shes.algorithms.problem import Problem
 from shes.baselines.collector import Collector, Step, as_float32
-from shes.baselines.hiro_agent import HiroDesign
 from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.baselines.levels import Level, Rows
 from shes.baselines.td3 import TD3, check_problem
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
+from shes.es.statistics import normalise
 from shes.settings import Settings
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import CONTROLLER, BoolArray, F32Array, F64Array, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class HiroDesign(AgentDesign):
+    """Design of HIRO's agent.
+
+    A goal is the change of the first of the robot's own coordinates. The primitive observes the goal, seen from the
+    current state, and then its view.
+    """
+
+    controller: RectifiedMLP
+    primitive: RectifiedMLP
+    primitive_view: ColumnsView
+    half_range: tuple[float, ...]
+    """Largest goal in each coordinate [G], in metres and radians."""
+    columns: tuple[int, ...] | None
+    """Indices of the coordinates in the observation; None for the position of an environment that observes none."""
+
+    @property
+    def networks(self) -> dict[str, MLP]:
+        """The network of each level by name."""
+        return {"controller": self.controller, "primitive": self.primitive}
+
+    @property
+    def controller_view(self) -> ColumnsView:
+        """The view of the controller, which sees the whole observation."""
+        return ColumnsView()
+
+    @property
+    def intrinsic_level(self) -> None:
+        """None: a rollout does not compute the intrinsic reward, which depends on all coordinates of a goal."""
+        return
+
+    @property
+    def decision_size(self) -> int:
+        """Number of coordinates of a goal. Exploration noise is not added in a rollout, but where the agent learns."""
+        return len(self.half_range)
+
+    def coordinates(self, observation: F64Array, position: F64Array) -> F64Array:
+        """Return the coordinates [N, G] of robots with these observations [N, O] and positions [N, 2], a copy."""
+        return position.copy() if self.columns is None else observation[:, list(self.columns)]
+
+    def direction_outputs(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, G] for goals in directions `angles` [K] in the world; only x and y are to change."""
+        outputs = np.zeros((len(angles), self.decision_size))
+        outputs[:, 0], outputs[:, 1] = np.cos(angles), np.sin(angles)
+        return outputs
+
+    def exported(self) -> dict[str, Any]:
+        """Return how often a goal is set, and the coordinates that it concerns."""
+        goals = {"columns": self.columns, "half_range": self.half_range, "view": self.primitive_view.indices}
+        return {"controller_interval": self.controller_interval, "state_goals": goals}
+
+    @property
+    def agent(self) -> type[HiroAgent]:
+        """The class of the agents."""
+        return HiroAgent
+
+
+class HiroAgent(AgentBatch[HiroDesign]):
+    """HIRO's agents, in P lanes of R episodes each. A goal is stored as the coordinates that it leads to, s_t + g_t.
+
+    Subtracting the current coordinates is the goal transition h(s, g, s') = s + g - s'.
+    """
+
+    def allocate(self) -> None:
+        """Allocate the goals and the inputs of the primitive."""
+        design, rows, xp = self.design, self.num_rows, self.xp
+        self._limit = xp.asarray(design.half_range)
+        self._target: F64Array = xp.zeros((rows, design.decision_size))
+        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
+        self._view = design.primitive_view.on(xp)
+
+    @property
+    def goal(self) -> F64Array:
+        """Current goals in the world frame [N, 2] in metres: the first two of their coordinates."""
+        return self._target[:, :2]
+
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
+        design, size = self.design, self.design.decision_size
+        coordinates = design.coordinates(observation, position)
+        is_due = self.clock % design.controller_interval == 0
+        if is_due.any():
+            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
+            rows = self._rows(due)
+            self._target[rows] = coordinates[rows] + self._decide(due, observation[rows], decision_noise)
+        self.clock += 1
+        self._inputs[:, :size] = self._target - coordinates
+        self._view.write(observation, heading, self._inputs[:, size:])
+        return self._control(self._inputs, control_noise)
+
+    def _decide(self, due: slice | IntArray, observation: F64Array, noise: F32Array | None) -> F64Array:
+        """Return the goals [rows, G] that the controllers of lanes `due` set for their `observation` [rows, O]."""
+        scaled = normalise(observation, *self._normalisation[CONTROLLER], self.design.input_clip)
+        output = self._forward(CONTROLLER, self._by_lane(scaled), due)
+        if noise is not None:
+            output += noise[due]
+        return output.reshape(len(scaled), -1) * self._limit
 
 
 class HiroCollector(Collector):

@@ -154,11 +154,6 @@ class LevelLearner:
         """Network of the current actor: arrays of NumPy."""
         return jax.tree.map(np.array, self.learner["actor"])
 
-    @property
-    def can_learn(self) -> bool:
-        """Whether the buffer holds a batch."""
-        return self.replay.size >= self.settings.batch_size
-
     def add(self, rows: Rows) -> None:
         """Store new transitions, and their inputs for the statistics of the next generation."""
         inputs = rows["inputs"].astype(np.float64)
@@ -167,12 +162,13 @@ class LevelLearner:
             self._observed = self._observed.merge(len(inputs), inputs.sum(axis=0), (inputs * inputs).sum(axis=0))
 
     def update(self, count: int, rng: np.random.Generator) -> None:
-        """Make `count` updates; raise DivergenceError if the actor has NaN or infinity."""
+        """Make `count` updates if the buffer holds a batch; raise DivergenceError if the actor is not finite."""
+        if self.replay.size < self.settings.batch_size:
+            return
         rows = self.draw(count, rng)
         rows |= {name: self.normalised(rows[name]) for name in ("inputs", "next_inputs")}
         rows["noise"] = rng.standard_normal(rows["action"].shape, dtype=np.float32)
-        made = compiled_update(self.settings, self.level.half_range)
-        self.learner, losses = made(self.learner, rows)
+        self.learner, losses = compiled_update(self.settings, self.level.half_range)(self.learner, rows)
         self._losses.append(losses)
         self._check_finite(self.actor)
 
@@ -188,10 +184,8 @@ class LevelLearner:
     def finish(self) -> tuple[LearnerState, dict[str, float]]:
         """Return the state of the level after the generation, and the means of the losses; NaN without an update.
 
-        If inputs are normalised, the statistics include those of this generation from now on.
-
-        Raises:
-            DivergenceError: A loss or a parameter is NaN or infinite.
+        If inputs are normalised, the statistics include those of this generation from now on. Raise DivergenceError
+        if a loss or a parameter is NaN or infinite.
         """
         learner = jax.tree.map(np.array, self.learner)
         none = np.zeros(0, np.float32)
@@ -252,7 +246,9 @@ def correction_errors(
         goals: Candidates [B, J, G] at the start of each interval.
         intervals: Of each step: `moved`, the change of the coordinates since the start [B, c, G]; `view`, as the
             network sees it [B, c, V]; `actions`, in control limits [B, c, A]; `is_step`, 0 if a fall cut it off [B, c].
-        mean: Mean of goals [G] by which the network's inputs are normalised, with `inverse_std` [G] and `clip`.
+        mean: Mean of goals by which the network's inputs are normalised [G].
+        inverse_std: Inverse of their standard deviation [G].
+        clip: Largest absolute value of a normalised input.
     """
     rolled = goals[:, :, None] - intervals["moved"][:, None]  # the goal transition, from the start of the interval
     scaled = jnp.clip((rolled - mean) * inverse_std, -clip, clip)

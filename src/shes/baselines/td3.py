@@ -158,9 +158,8 @@ class TD3(Algorithm[TD3State]):
                 learners[name].add(rows)
             before, env_steps = env_steps, state.env_steps + collector.num_steps
             for name, count in () if is_random else self.updates_due(before, env_steps):
-                if learners[name].can_learn:
-                    learners[name].update(count, drawing)
-                    actors[name].use(learners[name].actor, learners[name].statistics)
+                learners[name].update(count, drawing)
+                actors[name].use(learners[name].actor, learners[name].statistics)
         finished = {name: learner.finish() for name, learner in learners.items()}
         state = TD3State(
             seed=state.seed,

@@ -126,11 +126,8 @@ def draw_noise_index(
 
     Each level has its own random stream. `first_level` is the index of the first of these levels.
     """
-    rows = [
-        stream(seed, Purpose.NOISE_INDEX, generation, level).integers(0, table_size - dim + 1, num_groups)
-        for level, dim in enumerate(dims, first_level)
-    ]
-    return np.stack(rows)
+    rngs = (stream(seed, Purpose.NOISE_INDEX, generation, first_level + i) for i in range(len(dims)))
+    return np.stack([rng.integers(0, table_size - dim + 1, num_groups) for rng, dim in zip(rngs, dims, strict=True)])
 
 
 def perturb(theta: F32Array, noise: F32Array, scale: float, out: F32Array) -> None:
@@ -170,7 +167,7 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
 ) -> LevelUpdate:
     """Return `level` after one update from the shaped fitness [n'] of the members that perturbed it.
 
-    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`.
+    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`. Threads of `pool` change no bit.
 
     Deviation: the factor 1/sigma of the paper's Algorithm 1 is omitted, as in the authors' code. It would only change
     the relative strength of the weight decay, because Adam is invariant to the scale of the gradient.
@@ -179,11 +176,11 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
         level: The level before the update.
         shaped: Shaped fitness [n'], group after group, of the groups with nonzero `signs`.
         signs: Signs [G, M] of each group's members at this level.
-        noise_index: Start of each group's slice of the table [G].
+        noise_index: Start of each group's slice of `table` [G].
         table: The noise table.
         rule: Weight decay and optimizer.
         learning_rate: Learning rate (alpha).
-        pool: Threads for the weighted sum. They do not change its result.
+        pool: Threads for the weighted sum.
     """
     active = signs.any(axis=1)
     if not active.any():
@@ -192,10 +189,8 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
     if rule.holds_when_tied and not weights.any():
         return LevelUpdate(level=level, gradient_norm=0.0, update_ratio=0.0)
     indices, middle = noise_index[active], len(weights) // 2
-    halves = [
-        weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool)
-        for half in (slice(None, middle), slice(middle, None))
-    ]
+    places = slice(None, middle), slice(middle, None)
+    halves = [weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool) for half in places]
     gradient = halves[0] + halves[1]
     norm = _length(gradient)
     if rule.weight_decay:

@@ -1,7 +1,7 @@
 """Perturbation: which levels the members of a generation perturb, and with which signs.
 
 A group draws one noise vector per level, and its members differ only in their signs: +1, -1, or 0 for a level at its
-mean policy. The same signs determine the perturbations in the rollout and the signs of the fitness in the update.
+mean policy. Rollout and update use the same signs.
 
 Source: SHES paper II-E (many-to-many, one-to-many) and II-F (mirroring).
 """

@@ -126,9 +126,7 @@ class EvolutionStrategy:
     def tell(self, fitness: ArrayLike) -> None:
         """Update the levels from the fitness [n] of the candidates (higher is better), or [L, n] with several levels.
 
-        Raises:
-            ShapeError: `fitness` has another shape.
-            PolicyError: A fitness is not finite.
+        Raise ShapeError for another shape, and PolicyError unless every fitness is finite.
         """
         values: F64Array = np.array(fitness, dtype=np.float64)
         expected = (self.population_size,) if self._single else (len(self.dims), self.population_size)
@@ -136,13 +134,11 @@ class EvolutionStrategy:
             raise ShapeError(f"fitness must have shape {expected}, got {values.shape}.")
         values = values.reshape(len(self.dims), -1)
         signs, noise_index = self._draws()
-        levels = list[LevelState]()
+        levels, rule = list[LevelState](), self.rule
         for i, level in enumerate(self.state.levels):
-            own = signs[:, :, i]
-            shaped = self.rule.shape(values[i], own)
-            levels.append(
-                update_level(level, shaped, own, noise_index[i], self.table, self.rule, self.learning_rate).level
-            )
+            shaped, own = rule.shape(values[i], signs[:, :, i]), signs[:, :, i]
+            update = update_level(level, shaped, own, noise_index[i], self.table, rule, self.learning_rate)
+            levels.append(update.level)
         self.state = replace(self.state, generation=self.state.generation + 1, levels=tuple(levels))
 
     def _draws(self) -> tuple[Signs, IntArray]:
@@ -172,9 +168,7 @@ class EvolutionStrategy:
 
 
 def _check_options(options: dict[str, Any]) -> None:
-    known = {
-        name for registry in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in registry.values() for name in options_of(cls)
-    }
-    for name, value in options.items():
-        if name not in known:
-            raise ConfigError(f"unknown option {name!r}, got {value!r}. Options: {', '.join(sorted(known))}.")
+    classes = [*OPTIMIZERS.values(), *FITNESS_SHAPINGS.values()]
+    known = sorted({name for cls in classes for name in options_of(cls)})
+    for name in options.keys() - known:
+        raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")

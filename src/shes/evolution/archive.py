@@ -133,14 +133,9 @@ class Archive:
             is_used[ends] = True
             ends = self.parents[ends]
         number = np.cumsum(is_used) - 1
-        stalled = self.stalled + 1 if self.way_steps else 0
-        after = replace(
-            self,
-            nodes=number[self.nodes],
-            parents=number[self.parents[is_used]],
-            positions=self.positions[is_used],
-            stalled=stalled,
-        )
+        stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
+        used = {"nodes": number[self.nodes], "parents": parents, "positions": self.positions[is_used]}
+        after = replace(self, **used, stalled=stalled)
         return after.over() if stalled >= PATIENCE else after
 
     def news(self, before: Archive) -> list[str]:

@@ -141,7 +141,6 @@ class Draws:
     levels: tuple[int, ...]
     """Indices in the state of the L levels that members have."""
     signs: Signs
-    """Signs of every member at each level [G, M, L]; 0 for no perturbation."""
     noise_index: IntArray
     """Start of the noise slice of each group [L, G]."""
     tasks: list[EpisodeTask]
@@ -298,7 +297,7 @@ def _drawn_starts(
 def next_running(pairs: Population, horizon: int) -> RunningEpisodes | None:
     """Return the episodes after `pairs`: each continues from one of the pair's two ends.
 
-    An episode starts anew if that end was terminal or reached the horizon. None means that all episodes start anew.
+    It starts anew if that end was terminal or reached the horizon. None means that all start anew.
     """
     ends = {
         member // 2: (end.state, end.steps)

@@ -36,7 +36,7 @@ def is_alone(settings: Any) -> bool:
 
 
 def is_branched(settings: Any) -> bool:
-    """Return whether the primitive's fitness is estimated by branched intervals, even if it does not learn."""
+    """Return whether the primitive is evaluated by branched intervals, even if it does not learn."""
     return "estimate" in settings and settings.estimate.primitive_estimate == "interval"
 
 
@@ -47,16 +47,14 @@ def explores(settings: Any) -> bool:
 
 def by_episodes(settings: Any) -> tuple[bool, ...]:
     """Return whether each level's mirrored groups are whole episodes: also those of a primitive that learns alone."""
-    if is_branched(settings) and not is_alone(settings):
-        return (*learns(settings)[:-1], False)
-    return learns(settings)
+    has_branches = is_branched(settings) and not is_alone(settings)
+    return (*learns(settings)[:-1], False) if has_branches else learns(settings)
 
 
 def population(settings: Any) -> tuple[int, int]:
     """Return the number of policies in a generation, those in branches included, and the most episodes of each."""
-    evolution = settings.evolution
     branches = settings.values.get("primitive_population_size") or 0
-    return evolution.population_size + branches, evolution.episodes_per_policy
+    return settings.evolution.population_size + branches, settings.evolution.episodes_per_policy
 
 
 def steps_per_generation(settings: Any) -> int:

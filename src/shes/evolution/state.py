@@ -38,6 +38,7 @@ class TrainState(StrategyState):
     """Episodes that continue in the next generation, if any."""
 
 
+_COUNTS = ("seed", "generation", "env_steps")
 _RUNNING: dict[str, np.ndarray] = {"running/states": np.zeros((0, 0)), "running/steps": np.zeros(0, np.int64)}
 """Arrays of episodes that continue, of the right type and number of axes. They are missing before the first generation.
 """
@@ -47,12 +48,8 @@ _ARCHIVE = {f"archive/{field.name}": field.name for field in fields(Archive)}
 
 def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
     """Return `state` as arrays by name."""
-    arrays = {
-        "seed": np.int64(state.seed),
-        "generation": np.int64(state.generation),
-        "env_steps": np.int64(state.env_steps),
-        "levels": np.array([level.name for level in state.levels]),
-    }
+    arrays: dict[str, Any] = {name: np.int64(getattr(state, name)) for name in _COUNTS}
+    arrays["levels"] = [level.name for level in state.levels]
     for level in state.levels:
         arrays |= {
             f"{level.name}/theta": level.theta,
@@ -103,14 +100,9 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
         archive = Archive(**{field: array if array.ndim else array.item() for field, array in found.items()})
     if "running/states" in arrays:
         running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
-    return TrainState(
-        seed=int(arrays["seed"]),
-        generation=int(arrays["generation"]),
-        env_steps=int(arrays["env_steps"]),
-        levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
-        archive=archive,
-        running=running,
-    )
+    counts = {name: int(arrays[name]) for name in _COUNTS}
+    levels = tuple(_level(arrays, str(name)) for name in arrays["levels"])
+    return TrainState(**counts, levels=levels, archive=archive, running=running)
 
 
 def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:

@@ -44,12 +44,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     population = staticmethod(population)
 
     def __init__(self, problem: Problem) -> None:
-        """Create the agents' design and the hyperparameters.
-
-        Raises:
-            ConfigError: The settings do not fit the environment.
-            ShapeError: The observation does not have the size of the observation spec.
-        """
+        """Create design and hyperparameters; raise ConfigError if the settings do not fit the environment."""
         super().__init__(problem, type(self).make_design(problem))
         self.hyperparameters = make_hyperparameters(problem)
 
@@ -148,10 +143,7 @@ class SES(EvolutionAlgorithm):
 
 
 def columns(report: GenerationReport) -> dict[str, Any]:
-    """Return the row of `progress.csv` for a generation, by column.
-
-    `physics_s`, `policy_s` and `task_s` are summed over the workers. Values that do not exist are NaN.
-    """
+    """Return the row of `progress.csv`. Times of `PARTS` are summed over the workers; what does not exist is NaN."""
     episodes, *pairs = report.populations
     results, levels, archive = episodes.results, report.state.levels, report.state.archive
     row: dict[str, Any] = {}

@@ -67,14 +67,9 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
     if search is None or state.archive is None or state.archive.is_over:
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
-    generation = Generation(
-        levels=LevelParameters.of_all([state.levels[-1]]),
-        sigma=0.0,
-        episodes_per_policy=1,
-        is_evaluation=False,
-        branch_steps=search.interval,
-        is_exploration=True,
-    )
+    mean = LevelParameters.of_all(state.levels[-1:])
+    generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, is_evaluation=False,
+                            branch_steps=search.interval, is_exploration=True)  # fmt: skip
     for _ in range(search.slices):
         last_step = archive.env_steps + SLICE_STEPS
         archive, speed = _walk(archive, search, generation, rng, backend)
@@ -124,10 +119,12 @@ def _walk(
         if not len(walkers):
             break
         starts = [results.snapshots[walker, 0] for walker in walkers.tolist()]
-        states, steps = np.stack([each.state for each in starts]), np.array([each.steps for each in starts])
+        states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
         places, positions, is_upright, is_success = search.decode(states)
         progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())
         archive, nodes = archive.grown(nodes, positions), len(archive.parents) + np.arange(len(walkers))
-        upright = (each[is_upright] for each in (places, states, steps, nodes))
-        archive = archive.entered(*upright, is_success=is_success[is_upright])
+        archive = archive.entered(
+            places[is_upright], states[is_upright], steps[is_upright], nodes[is_upright],
+            is_success=is_success[is_upright],
+        )  # fmt: skip
     return archive, progress_m / (WALKERS * search.decisions * search.interval_s)
