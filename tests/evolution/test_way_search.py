@@ -184,11 +184,10 @@ def trained(path, generations=3, **settings):
 def test_the_reward_of_training_leads_through_the_way_alone(quick, tmp_path):
     """The steps of the search are steps of the run."""
     with recording() as record:
-        path = trained(tmp_path / "run")
-    rows, way = read_csv(path / "progress.csv"), runs.state(path, 2).archive.way
-    assert [int(all_) - int(own) for all_, own in zip(rows["env_steps"], rows["exploration_steps"], strict=True)] == [
-        160, 320, 480,
-    ]  # fmt: skip
+        path = trained(tmp_path / "run", 2, keep_checkpoints=1)
+    rows, way = read_csv(path / "progress.csv"), runs.state(path, 1).archive.way
+    steps = zip(rows["env_steps"], rows["exploration_steps"], strict=True)
+    assert [int(all_) - int(own) for all_, own in steps] == [160, 320]
     assert int(rows["exploration_steps"][0]) >= 2000
     assert rows["cells"] == sorted(rows["cells"])
     assert rows["cells"][0] > 1
