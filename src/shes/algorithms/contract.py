@@ -167,6 +167,10 @@ class Algorithm(ABC, Generic[StateT]):
     """Whether it learns in the main process, so that workers only evaluate."""
 
     @staticmethod
+    def check_installed(name: str) -> None:
+        """Raise MissingExtraError unless what training needs is installed. `name` is the algorithm's, for messages."""
+
+    @staticmethod
     def check(settings: Any) -> None:
         """Raise ConfigError for values of its settings that do not go together; `settings.SECTION.NAME` is a value."""
 

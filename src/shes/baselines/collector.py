@@ -85,9 +85,6 @@ class Collector:
         """Yield the new transitions of each level after every control step.
 
         Episodes begin until `num_steps` have been made; the generation ends when the last of them has ended.
-
-        Raises:
-            DivergenceError: A reward or an observation is NaN, or too large for single precision.
         """
         self.num_steps, self.rollout_s, self.episodes, self.goal_distances = 0, 0.0, [], []
         running, start, physics_s = np.arange(self.batch.num_episodes), perf_counter(), self.batch.physics_s

@@ -110,29 +110,29 @@ class TD3(Algorithm[TD3State]):
                 f"memory, but {free / 1e9:,.1f} GB are free. Set --replay-size, --generation-steps, --warmup-steps or "
                 "--num-envs lower."
             )
-        self._learning()
+        self.check_installed(self.problem.settings.run.algorithm)
         rngs = (stream(seed, Purpose.INITIAL_PARAMETERS, 0, number) for number in range(len(self.levels)))
         learners = tuple(level.start(rng) for level, rng in zip(self.levels, rngs, strict=True))
         return TD3State(seed=seed, generation=0, env_steps=0, learners=learners)
 
-    def _learning(self) -> Any:
-        """Return the module that learns; raise an error unless JAX and Optax are installed and find a device."""
+    @staticmethod
+    def check_installed(name: str) -> None:
+        """Raise MissingExtraError unless JAX and Optax are installed, and ConfigError if they find no device."""
         try:
             learning = importlib.import_module(LEARNING)
         except ImportError as error:
             raise MissingExtraError(
-                f"--algorithm {self.problem.settings.run.algorithm} needs JAX and Optax ({error}). Install them: "
-                "pip install 'shes[hiro]'."
+                f"--algorithm {name} needs JAX and Optax ({error}). Install them: pip install 'shes[hiro]'."
             ) from error
         learning.check_device()
-        return learning
 
     def run(self, state: TD3State, backend: Backend) -> Generator[Report[TD3State], None, None]:
         """Yield a report after every generation from `state` on, indefinitely. `backend` is not used."""
-        learning, batch = self._learning(), self.problem.env.make(self.settings.num_envs, self.problem.training)
-        actors = [Actor(level) for level in self.levels]
+        self.check_installed(self.problem.settings.run.algorithm)
+        learning = importlib.import_module(LEARNING)
+        batch, actors = self.problem.env.make(self.settings.num_envs, self.problem.training), map(Actor, self.levels)
         try:
-            collector = self.collector(batch, self.design, actors, self.problem.horizon, self.settings)
+            collector = self.collector(batch, self.design, tuple(actors), self.problem.horizon, self.settings)
             while True:
                 with learning.plain_settings():
                     report = self._generation(state, collector, learning.make_learners(self.levels, state.learners))

@@ -32,16 +32,14 @@ from shes.settings import flag
 def flat_design(problem: Problem) -> FlatDesign:
     """Return the design of an agent with a single policy."""
     task, settings = problem.sample(), problem.settings
-    acting = _acting(settings, task)
-    inputs = _clock_size(settings) + task.observation_size
-    return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **acting)
+    policy = MLP(_clock_size(settings) + task.observation_size, settings.networks.hidden, task.action_size)
+    return FlatDesign(policy=policy, **_acting(settings, task))
 
 
 def goal_design(problem: Problem) -> GoalDesign:
     """Return the design of a primitive, with its controller unless the environment sets the goals.
 
-    Raises:
-        ConfigError: A view or the symmetry does not suit the environment, or the position is unknown.
+    Raise ConfigError if a view or the symmetry does not suit the environment, or the position is unknown.
     """
     task, settings = problem.sample(), problem.settings
     hierarchy = settings.hierarchy
