@@ -13,8 +13,8 @@ import shes.algorithms.problem
 import shes.rollout.worker
 import shes.runs.build
 import shes.runs.provenance
+from shes.backends.backend import SerialBackend
 from shes.backends.processes import ProcessesBackend
-from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.machine import num_cores

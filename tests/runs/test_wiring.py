@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from shes.baselines.learner_settings import HIRO_SECTIONS
-from shes.envs.tasks.maze import Maze
+from shes.envs.tasks.mazes import Maze
 from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
 from shes.runs.evaluate import evaluate
