@@ -142,7 +142,7 @@ class Scale:
 
     def _laptop(self, body: str, task: str) -> dict[str, Any]:
         """Return the values of preset `laptop`, which for the ant has the changes."""
-        return make_config(f"{body}-{task}", "laptop").values
+        return dict(make_config(f"{body}-{task}", "laptop").values)
 
 
 SCALES: dict[str, Scale] = {

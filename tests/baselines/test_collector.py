@@ -30,11 +30,11 @@ def start(learner):
 
 def collector_of(learner, *, is_random=True):
     batch = learner.problem.env.make(learner.settings.num_envs, learner.problem.training)
-    actors = {level.name: Actor(level) for level in learner.levels}
-    for actor, state in zip(actors.values(), start(learner), strict=True):
+    actors = [Actor(level) for level in learner.levels]
+    for actor, state in zip(actors, start(learner), strict=True):
         actor.use(state.learner["actor"], state.statistics)
         actor.is_random = is_random
-    return learner.make_collector(batch, actors), batch, actors
+    return learner.collector(batch, learner.design, actors, learner.problem.horizon, learner.settings), batch, actors
 
 
 def collect(learner, num_steps=1, *, is_random=True):
@@ -49,9 +49,6 @@ def collect(learner, num_steps=1, *, is_random=True):
         for name in blocks[0]
     }
     return joined, np.array(rewards), collector
-
-
-# What a goal is.
 
 
 @pytest.mark.parametrize("env", ["ant-maze", "ant-gather", "ant-push"])
@@ -76,13 +73,15 @@ def test_a_goal_of_other_robots_is_their_position():
         algorithm(env="gymnasium:Pendulum-v1")
 
 
-# Transitions.
-
-
 def test_episodes_begin_until_the_steps_are_made_and_all_end():
+    """No time limit cuts a return, not even one of the environment's own."""
     rows, _, collector = collect(algorithm("td3", num_envs=2), num_steps=25)
     assert collector.num_steps == len(rows["policy"]["reward"]) == 40  # two at a time take 20 steps, then 40
     assert [episode["steps"] for episode in collector.episodes] == [HORIZON] * 4
+    register_external("pendulum-of-7-steps", lambda: gymnasium.make("Pendulum-v1", max_episode_steps=7))
+    rows, _, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
+    assert rows["policy"]["goes_on"].tolist() == [1] * 14
+    assert [(each["steps"], each["terminated"]) for each in collector.episodes] == [(7, 0), (7, 0)]
 
 
 def test_transitions_of_a_flat_policy_are_those_of_a_plain_loop():
@@ -122,8 +121,6 @@ def test_returns_are_of_unscaled_rewards():
         assert episode["primitive_return"] == pytest.approx(own.sum(), rel=1e-5)
 
 
-# The end of an episode.
-
 FALLS = {"env": "ant-gather", "spec": "hiro", "horizon": 200}
 
 
@@ -148,13 +145,6 @@ def test_steps_of_a_diverged_simulation_are_left_out():
     assert sizes == [1, 1, 1, 0]
     assert collector.episodes[0]["diverged"] == 1
     assert all(np.isfinite(value) for value in collector.episodes[0].values())
-
-
-def test_a_time_limit_of_the_environment_does_not_cut_the_return():
-    register_external("pendulum-of-7-steps", lambda: gymnasium.make("Pendulum-v1", max_episode_steps=7))
-    rows, _, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
-    assert rows["policy"]["goes_on"].tolist() == [1] * 14
-    assert [(each["steps"], each["terminated"]) for each in collector.episodes] == [(7, 0), (7, 0)]
 
 
 @pytest.mark.parametrize("settings", [{"env": "point-maze"}, FALLS, {**FALLS, "bootstrap_terminal": True}])
@@ -201,17 +191,14 @@ def test_intervals_are_the_steps_of_the_primitive(settings):
     assert falls > 5 if "spec" in settings else dense == len(ends)
 
 
-# Exploration and numbers.
-
-
 def test_exploration_is_within_the_range_and_as_wide_as_asked():
     learner = algorithm("td3", "ant-maze", exploration_noise=0.2)
     _, _, actors = collector_of(learner, is_random=False)
     inputs, rng = np.zeros((1, learner.design.policy.sizes[0])), np.random.default_rng(0)
-    drawn = np.concatenate([actors["policy"].act(inputs, rng) for _ in range(2000)])
+    drawn = np.concatenate([actors[-1].act(inputs, rng) for _ in range(2000)])
     assert drawn.std() == pytest.approx(0.2 * 30, rel=0.05)
-    actors["policy"].is_random = True
-    drawn = np.concatenate([actors["policy"].act(inputs, rng) for _ in range(2000)])
+    actors[-1].is_random = True
+    drawn = np.concatenate([actors[-1].act(inputs, rng) for _ in range(2000)])
     assert (drawn.min(), drawn.max()) == (pytest.approx(-30, abs=0.1), pytest.approx(30, abs=0.1))
     raw = algorithm("td3", "ant-maze", noise_unit="raw", exploration_noise=1.0).levels[0]
     assert raw.exploration_std.tolist() == [1.0] * 8

@@ -19,8 +19,7 @@ from shes.baselines.learning import (
     compiled_update,
     correction_errors,
 )
-from shes.baselines.levels import Level, flat
-from shes.baselines.replay import Replay
+from shes.baselines.levels import Level, Replay, flat
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.baselines import reference
@@ -108,17 +107,6 @@ def test_updates_are_those_of_the_reference(variant):
     assert learner["num_updates"] == count
 
 
-def test_updates_in_one_call_or_in_several_are_the_same():
-    level, drawn = level_of(), batches(4)
-    together, _ = updated(level, started(level), drawn)
-    state = started(level)
-    for i in range(4):
-        learner, _ = updated(level, state, {name: array[i : i + 1] for name, array in drawn.items()})
-        state = replace(state, learner={name: learner[name] for name in state.learner})
-    for name in ("actor", "critics", "target_critics", "square_critics"):
-        np.testing.assert_allclose(flat(together[name]), flat(state.learner[name]), atol=1e-6)
-
-
 def test_the_learners_actor_is_the_one_that_acts():
     """The network in JAX and `RectifiedMLP`, by which agents act, are one function."""
     level = level_of()
@@ -155,11 +143,10 @@ def test_a_learner_draws_normalises_and_discounts(normalise_inputs):
     if normalise_inputs:
         statistics, clip = statistics.merge(10, rng.normal(0, 20, INPUTS), rng.uniform(0, 3, INPUTS)), 5.0
     learner = LevelLearner(level, replace(state, statistics=statistics))
-    assert not learner.can_learn
+    learner.update(2, np.random.default_rng(5))  # nothing to learn from yet
     rows = {name: array[0].astype(np.float32) for name, array in batches(1).items() if name != "noise"}
     rows["inputs"] *= 10
     learner.add(rows)
-    assert learner.can_learn
     learner.update(2, np.random.default_rng(5))
 
     drawing, made = np.random.default_rng(5), reference_of(level, state)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from shes.baselines.replay import Replay
+from shes.baselines.levels import Replay
 
 CAPACITY, SLACK = 7, 3
 EMPTY = Replay(shapes={"inputs": (2,), "reward": ()}, capacity=CAPACITY, slack=SLACK)
@@ -65,6 +65,9 @@ def test_two_buffers_that_go_on_from_one_are_apart():
     common = EMPTY.append(transitions(0, 3))
     one, other = common.append(transitions(10, 2)), common.append(transitions(20, 3))
     assert [content(each) for each in (common, one, other)] == [[0, 1, 2], [0, 1, 2, 10, 11], [0, 1, 2, 20, 21, 22]]
+    emptied = one.emptied()
+    assert (content(emptied), emptied.size, emptied.end) == ([], 0, 5)
+    assert content(emptied.append(transitions(9, 1))) == [9]
 
 
 @pytest.mark.parametrize("count", [0, 1, 6, 9, 10, 11, 24])
@@ -75,12 +78,6 @@ def test_it_is_restored_with_the_same_arrays_and_goes_on_alike(count):
         one, other = ({name: array.tolist() for name, array in each.to_arrays().items()} for each in (replay, restored))
         assert one == other
         replay, restored = (each.append(transitions(100, 2)) for each in (replay, restored))
-
-
-def test_an_emptied_buffer_has_forgotten_all_but_its_count():
-    replay = EMPTY.append(transitions(0, 3)).emptied()
-    assert (content(replay), replay.size, replay.end) == ([], 0, 3)
-    assert content(replay.append(transitions(9, 1))) == [9]
 
 
 @pytest.mark.parametrize(

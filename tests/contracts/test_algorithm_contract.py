@@ -49,7 +49,8 @@ OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "eval
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
     """The example is known while a test of this module runs, in which searches have short slices."""
-    monkeypatch.setattr(way_search, "SLICE_STEPS", 500)
+    monkeypatch.setattr(way_search, "SLICE_STEPS", 1)
+    monkeypatch.setattr(way_search, "WALKERS", 16)
     runpy.run_path(str(EXAMPLE), run_name="random_search")
     yield
     for name in ("random-search", "own"):

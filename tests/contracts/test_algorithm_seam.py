@@ -1,9 +1,6 @@
-"""Everything above `algorithms` knows an algorithm by its contract alone: in the sources, and with one from outside."""
+"""Everything above `algorithms` knows an algorithm by its contract alone: with one from outside."""
 
-import ast
-import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -11,7 +8,7 @@ import pytest
 
 import shes
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
-from shes.algorithms.contract import PRESETS, Algorithm, Preset
+from shes.algorithms.contract import Algorithm, Preset
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.perturbation import MIRRORINGS, Mirroring
 from shes.runs.build import build_algorithm
@@ -20,40 +17,6 @@ from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
-
-SRC = Path(shes.__file__).parent
-ABOVE = ("cli", "gymnasium", "runs", "training", "viewing")
-SOURCES = {str(path.relative_to(SRC)): path.read_text() for package in ABOVE for path in SRC.glob(f"{package}/**/*.py")}
-IMPORTS = {"cli/bench.py"}
-"""Modules that may import from an algorithm: the speed of a generation is that of Algorithm 1."""
-SECTIONS = "|".join(sorted({section for each in algorithm_classes() for section in each.sections}))
-
-
-def test_no_module_above_knows_an_algorithm():
-    """Not by an import, nor by a section of its settings, nor by comparing its name."""
-    own = re.compile(r"shes\.algorithms\.(evolution|hiro)|from shes\.algorithms import (evolution|hiro)")
-    assert {name for name, text in SOURCES.items() if own.search(text)} <= IMPORTS
-    section = re.compile(
-        rf"""\b(config|settings|source|sections)(\.|\[["'])({SECTIONS})\b|["']({SECTIONS})["'] (not )?in \b"""
-    )
-    assert {name: section.search(text)[0] for name, text in SOURCES.items() if section.search(text)} == {}
-    assert not re.search(rf"^    ({SECTIONS}): ", SOURCES["runs/config.py"], re.MULTILINE)
-    names = {"shes", "es", "hiro", "td3"}
-    assert {name for name, text in SOURCES.items() if names & set(_compared(ast.parse(text)))} == set()
-    words = {word for preset in PRESETS.values() for word in (*preset.values, *preset.per_environment)}
-    assert not words & {"algorithm", "sigma", "population_size", "actor_learning_rate"}
-    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/config.py"])
-
-
-def _compared(tree):
-    """Yield every string that is compared, or a key of a dictionary that is looked up."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Compare):
-            yield from (part.value for each in (node.left, *node.comparators) for part in ast.walk(each)
-                        if isinstance(part, ast.Constant))  # fmt: skip
-
-
-# An algorithm from outside.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,9 +130,6 @@ def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
     whole.without_controller = type("Part", (whole,), {"level_names": ("primitive",)})
     shes.register_algorithm("whole", whole)
     assert TrainConfig.of(env="point-flagrun", algorithm="whole").level_names == ("primitive",)
-
-
-# Parts of an evolution strategy that were once branches of a function.
 
 
 class Threefold(Mirroring):

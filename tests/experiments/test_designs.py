@@ -17,7 +17,7 @@ from experiments.paper_settings import SCALES, STEPS
 from experiments.results import read_tables
 from experiments.running import check_experiment, runs_left
 from shes.errors import ConfigError, UnknownNameError
-from shes.evolution.presets import SHES_PRESETS
+from shes.evolution.evolution_settings import SHES_PRESETS
 from shes.runs.make_config import make_config
 from tests.experiments.tiny import run
 

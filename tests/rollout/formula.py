@@ -8,10 +8,9 @@ import pytest
 
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, UpdateRule
-from shes.es.schedules import Schedule
 from shes.es.statistics import Moments
 from shes.evolution.algorithm import evolve
-from shes.evolution.estimates import Hyperparameters
+from shes.evolution.estimates import Hyperparameters, Schedule
 from shes.evolution.state import TrainState
 from shes.rollout.episodes import EpisodeResults
 from tests.es.textbook import TextbookES
@@ -138,6 +137,12 @@ def check_against_textbook(table, settings, generations=5, diverging=(), **optio
         for level, theta in zip(report.state.levels, book.thetas, strict=True):
             assert level.theta == pytest.approx(theta, abs=1e-5)
     return backend, reports
+
+
+def shaped_fitness(population, level, rule):
+    """Return the shaped fitness of the members that perturb a level, as `evolve` computes it."""
+    results = population.results
+    return rule.shape(results.fitness[level], population.signs[:, :, level], results.has_fallen.mean(axis=1))
 
 
 def bits(value):

@@ -17,7 +17,7 @@ from shes.rollout.roll_out import PopulationResults
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state, start_state
+from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state, shaped_fitness, start_state
 from tests.rollout.plain_loop import play
 
 PAIRS = 6
@@ -286,7 +286,7 @@ def test_under_a_controller_pairs_alone_teach_the_primitive(beside, whole):
     assert (pairs.generation.sigma, pairs.learning_rate) == (0.2, 0.07)
     for i, (level, source) in enumerate(zip(report.state.levels, (first, pairs), strict=True)):
         rule, before = beside.settings.updates[i], beside.state.levels[i]
-        shaped, signs = source.shaped_fitness(0, rule), source.signs[:, :, 0]
+        shaped, signs = shaped_fitness(source, 0, rule), source.signs[:, :, 0]
         update = update_level(before, shaped, signs, source.noise_index[0], beside.table, rule, source.learning_rate)
         assert level.theta.tobytes() == update.level.theta.tobytes() != before.theta.tobytes()
     controller, primitive = (level.statistics.count for level in report.state.levels)

@@ -17,7 +17,7 @@ from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, Population, draw_epi
 from shes.rollout.episodes import Generation
 from shes.rollout.roll_out import PopulationResults, lower_diverged
 from tests.es.textbook import centred_ranks, group_signs
-from tests.rollout.formula import SETTINGS, formula_state
+from tests.rollout.formula import SETTINGS, formula_state, shaped_fitness
 from tests.rollout.made_up import SIZES, make_result, make_task
 
 # What is drawn --------------------------------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(perturbation, genera
     for level, own in enumerate(map(list, members)):
         expected = np.array(centred_ranks(fitness[level, own].tolist(), "average") if own else [])
         expected = expected - price * (fallen[own] - (fallen[own].mean() if own else 0))
-        assert population.shaped_fitness(level, UpdateRule(fall_price=price)) == pytest.approx(expected)
+        assert shaped_fitness(population, level, UpdateRule(fall_price=price)) == pytest.approx(expected)
     assert population.results.outcomes.tobytes() == before
 
 
@@ -182,13 +182,13 @@ def test_every_level_has_its_own_shaping():
     population = rolled_out()
     fitness = population.results.returns.mean(axis=2)
     fitness[0] = population.results.returns[0] = 1.0  # all tie: by index the later is better
-    first = population.shaped_fitness(0, UpdateRule(shaping=CentredRanks(rank_ties="index")))
+    first = shaped_fitness(population, 0, UpdateRule(shaping=CentredRanks(rank_ties="index")))
     assert first == pytest.approx(np.linspace(-0.5, 0.5, len(first)))
-    second = population.shaped_fitness(1, UpdateRule())
+    second = shaped_fitness(population, 1, UpdateRule())
     assert second == pytest.approx(centred_ranks(fitness[1].tolist(), "average"))
     population.results.returns[1, 5, 0] = np.inf
     with pytest.raises(PolicyError, match="member 5 is inf"):
-        population.shaped_fitness(1, UpdateRule())
+        shaped_fitness(population, 1, UpdateRule())
 
 
 def test_the_price_of_a_fall_goes_past_ranks():
@@ -196,8 +196,8 @@ def test_the_price_of_a_fall_goes_past_ranks():
     population = rolled_out(signs=np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), episodes=1)
     rule = UpdateRule(shaping=PairRanks())
     population.results.has_fallen[:, 0] = [0, 1, 0, 0, 1, 1, 1, 0]
-    plain, priced = (population.shaped_fitness(0, replace(rule, fall_price=price)) for price in (0.0, 15.0))
+    plain, priced = (shaped_fitness(population, 0, replace(rule, fall_price=price)) for price in (0.0, 15.0))
     assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
     for share in (False, True):
         population.results.has_fallen[:] = share
-        assert population.shaped_fitness(0, replace(rule, fall_price=15.0)).tobytes() == plain.tobytes()
+        assert shaped_fitness(population, 0, replace(rule, fall_price=15.0)).tobytes() == plain.tobytes()

@@ -161,34 +161,22 @@ class Algorithm(ABC, Generic[StateT]):
     """The levels that its runs may take from other runs, by name, and how."""
 
     packages: ClassVar[tuple[str, ...]] = ()
-    """Distributions, beside NumPy and MuJoCo, on whose versions its numbers depend: a run records them."""
+    """Distributions, in addition to NumPy and MuJoCo, on whose versions its numbers depend: a run records them."""
 
     learns_in_main_process: ClassVar[bool] = False
     """Whether it learns in the main process, so that workers only evaluate."""
 
     @staticmethod
     def check_installed(name: str) -> None:
-        """Check that the packages that training needs are installed. `name` is the algorithm's, for messages.
-
-        Raises:
-            MissingExtraError: One is not.
-        """
+        """Raise MissingExtraError unless what training needs is installed. `name` is the algorithm's, for messages."""
 
     @staticmethod
     def check(settings: Any) -> None:
-        """Check combinations of values of its settings; `settings.SECTION.NAME` is a value.
-
-        Raises:
-            ConfigError: Two values do not go together.
-        """
+        """Raise ConfigError for values of its settings that do not go together; `settings.SECTION.NAME` is a value."""
 
     @staticmethod
     def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
-        """Check that the settings in `asked`, which the user gave, have an effect; see also `Needs`.
-
-        Raises:
-            ConfigError: One of them has no effect beside the others.
-        """
+        """Raise ConfigError if a setting in `asked`, which the user gave, has no effect; see also `Needs`."""
 
     @staticmethod
     def steps_per_generation(settings: Any) -> int:
@@ -197,10 +185,7 @@ class Algorithm(ABC, Generic[StateT]):
 
     @staticmethod
     def population(settings: Any) -> tuple[int, int]:  # noqa: ARG004 - a subclass reads them
-        """Return the policies that a generation evaluates at most, and the most episodes of each; (0, 1) by default.
-
-        A run whose policies and episodes do not fit the memory is refused before it begins.
-        """
+        """Return the most policies of a generation, and the most episodes of each, which must fit the memory."""
         return 0, 1
 
     def __init__(self, problem: Problem, design: AgentDesign) -> None:
@@ -234,19 +219,10 @@ class Algorithm(ABC, Generic[StateT]):
 
     @abstractmethod
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> StateT:
-        """Return the state that `to_arrays` converted.
-
-        Raises:
-            KeyError: An array is missing.
-            ValueError: An array has a wrong value.
-        """
+        """Return the state that `to_arrays` converted; raise KeyError or ValueError if it is not one."""
 
     def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Check names, shapes and types of the arrays of a checkpoint before they are read. By default all are read.
-
-        Raises:
-            CheckpointError: They are not those of this problem.
-        """
+        """Raise CheckpointError if names, shapes or types of arrays, not yet read, are wrong; by default never."""
 
     @abstractmethod
     def parameters(self, state: StateT) -> tuple[LevelParameters, ...]:
@@ -257,10 +233,7 @@ class Algorithm(ABC, Generic[StateT]):
         return state
 
     def kept(self, state: StateT) -> StateT:
-        """Return `state` as the checkpoints beside `last` store it. By default they store all of it.
-
-        An algorithm with a large state leaves out what a resumed run can do without.
-        """
+        """Return `state` as checkpoints other than `last` store it: all of it, unless it is large."""
         return state
 
     def explored(self, state: StateT) -> Explored | None:

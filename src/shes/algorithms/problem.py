@@ -24,7 +24,6 @@ class Problem(EpisodeSetup):
     name: str
     settings: Any
     noise_table_size: int
-    """Number of normals in the shared noise table."""
     num_threads: int = 1
     """Number of threads that the parent process may use."""
 
@@ -38,11 +37,7 @@ class Problem(EpisodeSetup):
         return self.env.make(1, self.evaluation if is_evaluation else self.training)
 
     def sample(self) -> EpisodeBatch:
-        """Return the environment for one episode, already closed, to read its observation spec and controls.
-
-        Raises:
-            ShapeError: The observation does not have the size of the observation spec.
-        """
+        """Return the environment for one episode, closed; raise ShapeError if its observation has a wrong size."""
         task = self.make_task()
         task.reset(np.array([0]), [0])
         shape = task.observe().shape

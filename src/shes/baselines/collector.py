@@ -8,17 +8,16 @@ N environments, O inputs of the acting level, A controls.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import ClassVar
 
 import numpy as np
 
+from shes.agents.agent import AgentDesign
 from shes.agents.mlp import normalise
 from shes.baselines.learner_settings import LearnerSettings
-from shes.baselines.levels import Level, Network
-from shes.baselines.replay import Rows
+from shes.baselines.levels import Level, Network, Rows
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import DivergenceError
 from shes.es.statistics import ObservationStatistics
@@ -30,8 +29,7 @@ class Actor:
 
     def __init__(self, level: Level) -> None:
         """Prepare the actor of `level`."""
-        self._policy, self._clip, self._std = level.actor, level.settings.input_clip, level.exploration_std
-        self._limit = np.array(level.half_range)
+        self.name, self._level, self._limit = level.name, level, np.array(level.half_range)
         self.is_random = False
         """Whether outputs are uniform in their range."""
 
@@ -41,12 +39,12 @@ class Actor:
 
     def act(self, inputs: F64Array, rng: np.random.Generator) -> F64Array:
         """Return the outputs with exploration noise [N, A], in units of the environment, for inputs [N, O]."""
-        shape = (len(inputs), len(self._limit))
+        level, shape = self._level, (len(inputs), len(self._limit))
         if self.is_random:
             return rng.uniform(-self._limit, self._limit, shape)
-        scaled = normalise(inputs, *self._normalisation, self._clip)
-        output = self._policy.forward(self._network, scaled) * self._limit
-        return np.clip(output + self._std * rng.standard_normal(shape), -self._limit, self._limit)
+        scaled = normalise(inputs, *self._normalisation, level.settings.input_clip)
+        output = level.actor.forward(self._network, scaled) * self._limit
+        return np.clip(output + level.exploration_std * rng.standard_normal(shape), -self._limit, self._limit)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,25 +56,20 @@ class Step:
     inputs: F64Array
     """Inputs of the acting level before the step [N, O]."""
     control: F64Array
-    """Controls [N, A]."""
     is_sound: BoolArray
     """Whether the simulation has not diverged [running]."""
     terminated: BoolArray
-    """Whether the episode is in a terminal state now [running]."""
     ended: BoolArray
-    """Whether it has ended, for whatever reason [running]."""
+    """Whether the episode has ended, for whatever reason [running]."""
 
 
 class Collector:
     """Collects the transitions of a flat policy."""
 
-    acting: ClassVar[str] = "policy"
-    """Name of the level that acts every step."""
-
     def __init__(
-        self, batch: EpisodeBatch, actors: Mapping[str, Actor], horizon: int, settings: LearnerSettings
+        self, batch: EpisodeBatch, design: AgentDesign, actors: Sequence[Actor], horizon: int, settings: LearnerSettings
     ) -> None:
-        """Play episodes of at most `horizon` steps in `batch` with `actors`, by level."""
+        """Play episodes of at most `horizon` steps in `batch` with agents of `design`; the acting one comes last."""
         self.batch, self.actors, self._horizon, self._settings = batch, actors, horizon, settings
         self.steps: IntArray = np.zeros(batch.num_episodes, np.int64)
         """Control steps of each episode so far [N]."""
@@ -93,9 +86,6 @@ class Collector:
         """Yield the new transitions of each level after every control step.
 
         Episodes begin until `num_steps` have been made; the generation ends when the last of them has ended.
-
-        Raises:
-            DivergenceError: A reward or an observation is NaN, or too large for single precision.
         """
         self.num_steps, self.rollout_s, self.episodes, self.goal_distances = 0, 0.0, [], []
         running, start, physics_s = np.arange(self.batch.num_episodes), perf_counter(), self.batch.physics_s
@@ -123,7 +113,7 @@ class Collector:
     def step(self, rows: IntArray, rng: np.random.Generator) -> Step:
         """Advance the episodes in `rows` by one control step."""
         batch, inputs = self.batch, self.inputs()
-        control = self.actors[self.acting].act(inputs, rng)
+        control = self.actors[-1].act(inputs, rng)
         batch.step(rows, control)
         self.steps[rows] += 1
         self.observe()
@@ -153,15 +143,9 @@ class Collector:
     def rows(self, step: Step, reward: F64Array, goes_on: BoolArray) -> Rows:
         """Return the transitions of the acting level, without those of diverged simulations."""
         kept = step.rows[step.is_sound]
-        return as_float32(
-            {
-                "inputs": step.inputs[kept],
-                "action": step.control[kept],
-                "reward": reward[kept],
-                "goes_on": goes_on[step.is_sound],
-                "next_inputs": self.inputs()[kept],
-            }
-        )
+        of_rows = {"inputs": step.inputs, "action": step.control, "reward": reward, "next_inputs": self.inputs()}
+        rows = {name: values[kept] for name, values in of_rows.items()}
+        return as_float32({**rows, "goes_on": goes_on[step.is_sound]})
 
     def reward(self) -> F64Array:
         """Return the environment's scaled reward of the last step [N]."""

@@ -1,81 +1,127 @@
 """HIRO: two levels of TD3 that learn from one stream of experience, with the off-policy correction.
 
-N environments, O observed values, V values of the primitive's view, G coordinates of a goal, A controls, c steps.
+A controller sets a goal in the robot's own coordinates every c steps, and a primitive pursues it. Agents act by NumPy
+alone, so that a run can be evaluated and drawn without JAX.
 
-Source: Nachum et al. 2018, Algorithm 1.
+N environments, O observed values, V values of the primitive's view, G coordinates of a goal, A controls.
+
+Source: Nachum et al. 2018, Algorithm 1, section 3 and appendix C.1; its published code.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from shes.agents.agent import AgentBatch, AgentDesign
+from shes.agents.mlp import MLP, RectifiedMLP
+from shes.agents.views import ColumnsView
 from shes.algorithms.problem import Problem
-from shes.baselines.collector import Actor, Collector, Step, as_float32
-from shes.baselines.hiro_agent import HiroDesign
+from shes.baselines.collector import Collector, Step, as_float32
 from shes.baselines.learner_settings import HIRO_SECTIONS
-from shes.baselines.levels import Level
-from shes.baselines.replay import Rows
-from shes.baselines.td3 import TD3, TD3State, check_problem
+from shes.baselines.levels import Level, Rows
+from shes.baselines.td3 import TD3, check_problem
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.settings import Settings
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import CONTROLLER, BoolArray, F32Array, F64Array, IntArray
 
 
-class HIRO(TD3):
-    """Trains controller and primitive by gradients. Source: Nachum et al. 2018.
+class HiroAgent(AgentBatch["HiroDesign"]):
+    """HIRO's agents, in P lanes of R episodes each.
 
-    Two levels of TD3 learn from one stream of experience, with the off-policy correction.
+    The goal is stored as the coordinates that it leads to, s_t + g_t. Subtracting the current coordinates is the goal
+    transition h(s, g, s') = s + g - s'.
     """
 
-    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
-    design: HiroDesign
+    def allocate(self) -> None:
+        """Allocate the goals and the inputs of the primitive."""
+        design, rows, xp = self.design, self.num_rows, self.xp
+        self._limit = xp.asarray(design.half_range)
+        self._target: F64Array = xp.zeros((rows, design.decision_size))
+        self.goal = self._target[:, :2]
+        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
+        self._view = design.primitive_view.on(xp)
 
-    def make_design(self, problem: Problem) -> HiroDesign:
-        """Return the design of the agents; raise ConfigError if HIRO cannot learn in this problem."""
-        own, goals = problem.settings.learner, problem.settings.goals
-        if goals.controller_interval > problem.horizon:
-            raise ConfigError(
-                f"controller_interval is {goals.controller_interval}, but episodes have {problem.horizon} steps "
-                "(horizon): the controller would never learn. Set --controller-interval lower, or --horizon higher."
-            )
-        values = {"controller_interval": goals.controller_interval, "input_clip": own.input_clip}
-        return HiroDesign.of(check_problem(problem), own.hidden, goals.goal_distance, **values)
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
+        design, size = self.design, self.design.decision_size
+        coordinates = design.coordinates(observation, position)
+        is_due = self.clock % design.controller_interval == 0
+        if is_due.any():
+            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
+            rows = self.rows(due)
+            output = self.levels[CONTROLLER].act(observation[rows], decision_noise, rows, due)
+            self._target[rows] = coordinates[rows] + output * self._limit
+        self.clock += 1
+        self._inputs[:, :size] = self._target - coordinates
+        self._view.write(observation, heading, self._inputs[:, size:])
+        return self.levels[-1].act(self._inputs, control_noise)
 
-    def make_levels(self) -> tuple[Level, ...]:
-        """Return the controller and the primitive."""
-        design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
-        of_interval = {
-            "goal": (size,),
-            "change": (size,),
-            "moved": (interval, size),
-            "view": (interval, design.primitive.sizes[0] - size),
-            "actions": (interval, design.primitive.sizes[-1]),
-            "is_step": (interval,),
-        }
-        noise = self.problem.settings.goals.goal_noise
-        return self.make_level("controller", design.half_range, noise, of_interval), *super().make_levels()
 
-    def make_collector(self, batch: EpisodeBatch, actors: Mapping[str, Actor]) -> Collector:
-        """Return the collector of experience in `batch`."""
-        return HiroCollector(self.design, batch, actors, self.problem.horizon, self.settings)
+@dataclass(frozen=True, kw_only=True)
+class HiroDesign(AgentDesign):
+    """Design of HIRO's agent.
 
-    def make_learners(self, learning: Any, state: TD3State) -> dict[str, Any]:
-        """Return the learner of each level by name, of module `learning`."""
-        upper, lower = zip(self.levels, state.learners, strict=True)
-        primitive = learning.LevelLearner(*lower)
-        return {"controller": learning.ControllerLearner(*upper, primitive), "primitive": primitive}
+    A goal is the change of the first of the robot's own coordinates. The primitive observes the goal, seen from the
+    current state, and then its view.
+    """
 
-    def updates_due(self, before: int, now: int) -> Iterator[tuple[str, int]]:
-        """Yield the level and the number of the updates that are due for the environment steps `before` to `now`."""
-        yield from super().updates_due(before, now)
-        interval = self.problem.settings.goals.controller_update_interval
-        for _ in range(now // interval - before // interval):
-            yield "controller", 1
+    agent = HiroAgent
+    controller: RectifiedMLP
+    primitive: RectifiedMLP
+    primitive_view: ColumnsView
+    half_range: tuple[float, ...]
+    """Largest goal in each coordinate [G], in metres and radians."""
+    columns: tuple[int, ...] | None
+    """Indices of the coordinates in the observation; None for the position of an environment that observes none."""
+
+    @property
+    def networks(self) -> dict[str, MLP]:
+        """The network of each level by name."""
+        return {"controller": self.controller, "primitive": self.primitive}
+
+    @property
+    def controller_view(self) -> ColumnsView:
+        """The view of the controller, which sees the whole observation."""
+        return ColumnsView()
+
+    @property
+    def intrinsic_level(self) -> None:
+        """None: a rollout does not compute the intrinsic reward, which depends on all coordinates of a goal."""
+        return
+
+    @property
+    def decision_size(self) -> int:
+        """Number of coordinates of a goal. Exploration noise is not added in a rollout, but where the agent learns."""
+        return len(self.half_range)
+
+    def coordinates(self, observation: F64Array, position: F64Array) -> F64Array:
+        """Return the coordinates [N, G] of robots with these observations [N, O] and positions [N, 2], a copy."""
+        return position.copy() if self.columns is None else observation[:, list(self.columns)]
+
+    def direction_outputs(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, G] for goals in directions `angles` [K] in the world; only x and y are to change."""
+        outputs = np.zeros((len(angles), self.decision_size))
+        outputs[:, 0], outputs[:, 1] = np.cos(angles), np.sin(angles)
+        return outputs
+
+    def exported(self) -> dict[str, Any]:
+        """Return how often a goal is set, and the coordinates that it concerns."""
+        goals = {"columns": self.columns, "half_range": self.half_range, "view": self.primitive_view.indices}
+        return {"controller_interval": self.controller_interval, "state_goals": goals}
 
 
 class HiroCollector(Collector):
@@ -87,11 +133,9 @@ class HiroCollector(Collector):
     Deviation: in HIRO's code the goal of the first step of an episode is zero.
     """
 
-    acting = "primitive"
-
-    def __init__(self, design: HiroDesign, batch: EpisodeBatch, *arguments: Any) -> None:
-        """Play with agents of `design`; for the other arguments see `Collector`."""
-        super().__init__(batch, *arguments)
+    def __init__(self, batch: EpisodeBatch, design: HiroDesign, *arguments: Any) -> None:
+        """Play with agents of `design`; see `Collector`."""
+        super().__init__(batch, design, *arguments)
         n, c, size = batch.num_episodes, design.controller_interval, design.decision_size
         self._design, self._interval = design, c
         self._columns = list(design.primitive_view.indices or ())
@@ -153,7 +197,7 @@ class HiroCollector(Collector):
         """Let the controllers of episodes `rows` set new goals."""
         if not len(rows):
             return
-        self._goal[rows] = self.actors["controller"].act(self.observation, rng)[rows]
+        self._goal[rows] = self.actors[0].act(self.observation, rng)[rows]
         self._first["inputs"][rows], self._first["goal"][rows] = self.observation[rows], self._goal[rows]
         self._origin[rows], self._earned[rows] = self._coordinates[rows], 0
 
@@ -172,3 +216,53 @@ class HiroCollector(Collector):
             "is_step": np.arange(self._interval) < num_steps[:, None],
         }
         return as_float32(rows)
+
+
+class HIRO(TD3):
+    """Trains controller and primitive by gradients. Source: Nachum et al. 2018."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
+    collector: ClassVar[type[Collector]] = HiroCollector
+    design: HiroDesign
+
+    def make_design(self, problem: Problem) -> HiroDesign:
+        """Return the design of the agents; raise ConfigError if HIRO cannot learn in this problem.
+
+        Deviation: the primitive sees the robot without x and y, and the time; in HIRO x and y are zero.
+        """
+        own, goals, task = problem.settings.learner, problem.settings.goals, check_problem(problem)
+        if goals.controller_interval > problem.horizon:
+            raise ConfigError(
+                f"controller_interval is {goals.controller_interval}, but episodes have {problem.horizon} steps "
+                "(horizon): the controller would never learn. Set --controller-interval lower, or --horizon higher."
+            )
+        task.check_position()
+        half_range = (*(goals.goal_distance,) * 2, *(task.robot.goal_half_range if task.robot else ()))
+        time = [i for i, name in enumerate(task.observation_names) if name == "time"]
+        seen = [i for i in (*task.proprioception.tolist(), *time) if i not in task.position_columns]
+        return HiroDesign(
+            controller=RectifiedMLP(task.observation_size, own.hidden, len(half_range)),
+            primitive=RectifiedMLP(len(half_range) + len(seen), own.hidden, task.action_size),
+            primitive_view=ColumnsView(seen),
+            half_range=half_range,
+            columns=tuple(task.proprioception[: len(half_range)].tolist()) if task.robot else None,
+            control_limit=task.control_limit,
+            controller_interval=goals.controller_interval,
+            input_clip=own.input_clip,
+        )
+
+    def make_levels(self) -> tuple[Level, ...]:
+        """Return the controller and the primitive."""
+        design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
+        of_interval = {
+            "goal": (size,),
+            "change": (size,),
+            "moved": (interval, size),
+            "view": (interval, design.primitive.sizes[0] - size),
+            "actions": (interval, design.primitive.sizes[-1]),
+            "is_step": (interval,),
+        }
+        goals = self.problem.settings.goals
+        controller = self.make_level("controller", design.half_range, goals.goal_noise, of_interval)
+        return replace(controller, update_interval=goals.controller_update_interval), *super().make_levels()

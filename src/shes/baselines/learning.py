@@ -12,7 +12,8 @@ the measure of the correction, are those of HIRO's code.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, TypeAlias
 
@@ -23,9 +24,8 @@ import optax
 
 from shes.agents.mlp import normalise
 from shes.baselines.learner_settings import LearnerSettings
-from shes.baselines.levels import Learner, LearnerState, Level, Network
-from shes.baselines.replay import Rows
-from shes.errors import DivergenceError
+from shes.baselines.levels import Learner, LearnerState, Level, Network, Rows
+from shes.errors import ConfigError, DivergenceError
 from shes.types import F32Array, FloatArray
 
 TARGET_NOISE, TARGET_NOISE_CLIP = 0.2, 0.5
@@ -39,6 +39,21 @@ Batch: TypeAlias = Mapping[str, Any]
 units of the environment; `reward`; `goes_on`, 0 where the next state has no value; `noise` [A], standard normals."""
 LOSSES = ("critic_loss", "actor_loss", "value")
 """Losses of an update; NaN for an actor that it does not change. `value` is the mean target of the critics."""
+
+
+def check_device() -> None:
+    """Raise ConfigError if JAX finds no device."""
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        raise ConfigError(f"JAX cannot compute here: {error}. Unset JAX_PLATFORMS, or set it to cpu.") from error
+
+
+@contextmanager
+def plain_settings() -> Iterator[None]:
+    """Use JAX's default types and broadcasting in the block, whatever a script or the environment has set."""
+    with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
+        yield
 
 
 def act(actor: Network, inputs: Array, half_range: Any) -> Array:
@@ -116,6 +131,14 @@ def compiled_update(settings: LearnerSettings, half_range: tuple[float, ...]) ->
     return jax.jit(lambda learner, batches: jax.lax.scan(one, learner, batches), donate_argnums=0)
 
 
+def make_learners(levels: Sequence[Level], states: Sequence[LearnerState]) -> dict[str, LevelLearner]:
+    """Return the learner of each level by name. The level that acts every step comes last."""
+    *upper, lower = zip(levels, states, strict=True)
+    acting = LevelLearner(*lower)
+    learners = [*(ControllerLearner(level, state, acting) for level, state in upper), acting]
+    return {learner.level.name: learner for learner in learners}
+
+
 class LevelLearner:
     """Learns one level from its replay buffer during a generation."""
 
@@ -131,11 +154,6 @@ class LevelLearner:
         """Network of the current actor: arrays of NumPy."""
         return jax.tree.map(np.array, self.learner["actor"])
 
-    @property
-    def can_learn(self) -> bool:
-        """Whether the buffer holds a batch."""
-        return self.replay.size >= self.settings.batch_size
-
     def add(self, rows: Rows) -> None:
         """Store new transitions, and their inputs for the statistics of the next generation."""
         inputs = rows["inputs"].astype(np.float64)
@@ -144,12 +162,13 @@ class LevelLearner:
             self._observed = self._observed.merge(len(inputs), inputs.sum(axis=0), (inputs * inputs).sum(axis=0))
 
     def update(self, count: int, rng: np.random.Generator) -> None:
-        """Make `count` updates; raise DivergenceError if the actor has NaN or infinity."""
+        """Make `count` updates if the buffer holds a batch; raise DivergenceError if the actor is not finite."""
+        if self.replay.size < self.settings.batch_size:
+            return
         rows = self.draw(count, rng)
         rows |= {name: self.normalised(rows[name]) for name in ("inputs", "next_inputs")}
         rows["noise"] = rng.standard_normal(rows["action"].shape, dtype=np.float32)
-        made = compiled_update(self.settings, self.level.half_range)
-        self.learner, losses = made(self.learner, rows)
+        self.learner, losses = compiled_update(self.settings, self.level.half_range)(self.learner, rows)
         self._losses.append(losses)
         self._check_finite(self.actor)
 
@@ -165,10 +184,8 @@ class LevelLearner:
     def finish(self) -> tuple[LearnerState, dict[str, float]]:
         """Return the state of the level after the generation, and the means of the losses; NaN without an update.
 
-        If inputs are normalised, the statistics include those of this generation from now on.
-
-        Raises:
-            DivergenceError: A loss or a parameter is NaN or infinite.
+        If inputs are normalised, the statistics include those of this generation from now on. Raise DivergenceError
+        if a loss or a parameter is NaN or infinite.
         """
         learner = jax.tree.map(np.array, self.learner)
         none = np.zeros(0, np.float32)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
-from shes.es.perturbation import group_weights
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
 from shes.settings import Ge, checked
@@ -90,6 +89,20 @@ class UpdateRule:
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
 
+    def shape(self, fitness: F64Array, signs: NDArray[np.int8], falls: F64Array | None = None) -> F64Array:
+        """Return the shaped fitness [n'] of the members that perturb a level, given the signs [G, M] of all.
+
+        `fitness` [n] and the mean number of `falls` [n] are those of all members.
+        """
+        active = select_fitness(fitness, signs)
+        if not len(active):
+            return active
+        shaped = self.shaping(active)
+        if self.fall_price and falls is not None:
+            own = select_fitness(falls, signs)
+            shaped = shaped - self.fall_price * (own - own.mean())
+        return shaped
+
 
 @dataclass(frozen=True, kw_only=True)
 class LevelUpdate:
@@ -112,11 +125,8 @@ def draw_noise_index(
 
     Each level has its own random stream. `first_level` is the index of the first of these levels.
     """
-    rows = [
-        stream(seed, Purpose.NOISE_INDEX, generation, level).integers(0, table_size - dim + 1, num_groups)
-        for level, dim in enumerate(dims, first_level)
-    ]
-    return np.stack(rows)
+    rngs = (stream(seed, Purpose.NOISE_INDEX, generation, first_level + i) for i in range(len(dims)))
+    return np.stack([rng.integers(0, table_size - dim + 1, num_groups) for rng, dim in zip(rngs, dims, strict=True)])
 
 
 def perturb(theta: F32Array, noise: F32Array, scale: float, out: F32Array) -> None:
@@ -133,6 +143,17 @@ def select_fitness(fitness: F64Array, signs: NDArray[np.int8]) -> F64Array:
     return fitness.reshape(signs.shape)[signs.any(axis=1)].ravel()
 
 
+def group_weights(shaped: F64Array, signs: NDArray[np.int8]) -> F32Array:
+    """Return one weight [G] per noise vector: the sum of its members' shaped fitness [n], with their signs [G, M].
+
+    Values are sorted, so that equal ones on both sides cancel exactly. Optimizers that ignore the gradient's length
+    would take a rounding error for a direction.
+    """
+    values = shaped.reshape(signs.shape)
+    plus, minus = (np.sort(np.where(side, values, 0.0), axis=1).sum(axis=1) for side in (signs > 0, signs < 0))
+    return (plus - minus).astype(np.float32)
+
+
 def update_level(  # noqa: PLR0917 - the terms of a formula
     level: LevelState,
     shaped: F64Array,
@@ -145,7 +166,7 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
 ) -> LevelUpdate:
     """Return `level` after one update from the shaped fitness [n'] of the members that perturbed it.
 
-    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`.
+    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`. Threads of `pool` change no bit.
 
     Deviation: the factor 1/sigma of the paper's Algorithm 1 is omitted, as in the authors' code. It would only change
     the relative strength of the weight decay, because Adam is invariant to the scale of the gradient.
@@ -154,11 +175,11 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
         level: The level before the update.
         shaped: Shaped fitness [n'], group after group, of the groups with nonzero `signs`.
         signs: Signs [G, M] of each group's members at this level.
-        noise_index: Start of each group's slice of the table [G].
+        noise_index: Start of each group's slice of `table` [G].
         table: The noise table.
         rule: Weight decay and optimizer.
         learning_rate: Learning rate (alpha).
-        pool: Threads for the weighted sum. They do not change its result.
+        pool: Threads for the weighted sum.
     """
     active = signs.any(axis=1)
     if not active.any():
@@ -167,10 +188,8 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
     if rule.holds_when_tied and not weights.any():
         return LevelUpdate(level=level, gradient_norm=0.0, update_ratio=0.0)
     indices, middle = noise_index[active], len(weights) // 2
-    halves = [
-        weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool)
-        for half in (slice(None, middle), slice(middle, None))
-    ]
+    places = slice(None, middle), slice(middle, None)
+    halves = [weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool) for half in places]
     gradient = halves[0] + halves[1]
     norm = _length(gradient)
     if rule.weight_decay:
@@ -192,10 +211,8 @@ def _length(vector: F32Array) -> float:
 
 def _cosine(a: F32Array, b: F32Array) -> float:
     """Return the cosine between `a` and `b` [D], or NaN if one of them is zero."""
-    product = float((a.astype(np.float64) * b).sum())
-    return _ratio(product, _length(a) * _length(b))
+    return _ratio(float((a.astype(np.float64) * b).sum()), _length(a) * _length(b))
 
 
 def _ratio(part: float, whole: float) -> float:
-    """Return `part / whole`, or NaN if `whole` is 0."""
     return part / whole if whole else np.nan

@@ -40,12 +40,9 @@ class Optimizer(ABC):
 
     @abstractmethod
     def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
-        """Return the step [D] to add to the parameters, and the next state. The arguments are not changed.
+        """Return the step [D] to add to the parameters, and the next state, for an uphill `gradient` estimate [D].
 
-        Args:
-            gradient: Gradient estimate [D], uphill.
-            state: State after the previous update.
-            learning_rate: Scale of the step.
+        The arguments are not changed.
         """
 
 
@@ -67,14 +64,12 @@ class Adam(Optimizer):
         second = _mix(state.slots["second"], gradient * gradient, self.beta2)
         rate = learning_rate * np.sqrt(1 - self.beta2**steps) / (1 - self.beta1**steps)
         step = np.float32(rate) * first / (np.sqrt(second) + np.float32(self.epsilon))
-        return step.astype(np.float32, copy=False), _state(steps, first=first, second=second)
+        return step, OptimizerState(steps=steps, slots={"first": first, "second": second})
 
 
 @dataclass(frozen=True, kw_only=True)
 class SGD(Optimizer):
-    """Gradient ascent with momentum.
-
-    The velocity is `v = m v + (1 - m) g` and the step `rate * v`.
+    """Gradient ascent with momentum: the velocity is `v = m v + (1 - m) g`, the step `rate * v`.
 
     Source: Polyak 1964, in the form of Salimans et al.'s code (evolution-strategies-starter, `optimizers.py`).
     """
@@ -89,23 +84,15 @@ class SGD(Optimizer):
         """Return the step [D] and the next state."""
         velocity = _mix(state.slots["velocity"], gradient, self.momentum)
         step = np.float32(learning_rate) * velocity
-        return step.astype(np.float32, copy=False), _state(state.steps + 1, velocity=velocity)
+        return step, OptimizerState(steps=state.steps + 1, slots={"velocity": velocity})
 
 
 OPTIMIZERS: Registry[type[Optimizer]] = Registry(
-    "optimizer",
-    {"adam": Adam, "sgd": SGD},
-    fix="Set --optimizer.",
-    check=subclass_of(Optimizer),
+    "optimizer", {"adam": Adam, "sgd": SGD}, fix="Set --optimizer.", check=subclass_of(Optimizer)
 )
 """Optimizers by name: the choices of `--optimizer`."""
 
 
-def _state(steps: int, **slots: F32Array) -> OptimizerState:
-    return OptimizerState(steps=steps, slots=slots)
-
-
 def _mix(old: F32Array, new: F32Array, share: float) -> F32Array:
     """Return `share * old + (1 - share) * new` [D] in float32."""
-    mixed = np.float32(share) * old + np.float32(1 - share) * new
-    return mixed.astype(np.float32, copy=False)
+    return (np.float32(share) * old + np.float32(1 - share) * new).astype(np.float32, copy=False)

@@ -30,8 +30,7 @@ class FitnessShaping(ABC):
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the shaped fitness [n] of `fitness` [n]: a new array that sums to zero, all zeros for n = 1.
 
-        Raises:
-            PolicyError: A fitness is not finite.
+        Raise PolicyError unless every fitness is finite.
         """
 
 
@@ -51,10 +50,7 @@ class CentredRanks(FitnessShaping, Settings):
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
         _check_finite(fitness)
-        count = len(fitness)
-        if count == 1:
-            return np.zeros(1)
-        order = np.argsort(fitness, kind="stable")
+        count, order = len(fitness), np.argsort(fitness, kind="stable")
         ranks = np.empty(count)
         ranks[order] = np.arange(count)
         if self.rank_ties == "average":
@@ -62,7 +58,7 @@ class CentredRanks(FitnessShaping, Settings):
                 fitness[order], return_index=True, return_inverse=True, return_counts=True
             )
             ranks[order] = (first + (repeats - 1) / 2)[inverse]
-        return ranks / (count - 1) - 0.5
+        return ranks / (count - 1) - 0.5 if count > 1 else np.zeros(1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,21 +76,15 @@ class PairRanks(FitnessShaping):
         """Return plus and minus half of the pair's weight for the members of each pair [n], an even number."""
         _check_finite(fitness)
         if len(fitness) % 2:
-            raise ConfigError(
-                f"pair_rank needs mirrored pairs, but got an odd number of members, {len(fitness)}. "
-                "Set --mirrored pair."
-            )
+            raise ConfigError(f"pair_rank needs pairs, but there are {len(fitness)} members. Set --mirrored pair.")
         difference = fitness[0::2] - fitness[1::2]
-        size, place = np.unique(np.abs(difference), return_inverse=True)
-        count = np.bincount(place, minlength=len(size))
-        last = np.cumsum(count)  # ranks begin at 1
-        rank = (last - (count - 1) / 2)[place]
+        _, place, count = np.unique(np.abs(difference), return_inverse=True, return_counts=True)
+        rank = (np.cumsum(count) - (count - 1) / 2)[place]  # ranks begin at 1
         half = np.sign(difference) * rank / (2 * len(difference))
         return np.stack([half, -half], axis=1).ravel()
 
 
 def _check_finite(fitness: F64Array) -> None:
-    """Raise PolicyError, which names the first such member, if a fitness [n] is NaN or infinite."""
     if not np.isfinite(fitness).all():
         member = int(np.flatnonzero(~np.isfinite(fitness))[0])
         raise PolicyError(

@@ -20,14 +20,11 @@ CLIP = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationStatistics:
-    """Moments of the observations of one level, as float64 sums."""
+    """Number of the observations of one level, their sum [O] and the sum of their squares [O], in float64."""
 
     count: int
-    """Number of observations."""
     total: F64Array
-    """Sum of the observations [O]."""
     total_squares: F64Array
-    """Sum of their squares [O]."""
 
     @classmethod
     def empty(cls, size: int) -> ObservationStatistics:
@@ -55,23 +52,17 @@ class ObservationStatistics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moments:
-    """Sums over the observations of each of K episodes at one level. The arrays change in place."""
+    """Number [K], sum and sum of squares [K, O] of the observations of K episodes at a level; they change in place."""
 
     count: IntArray
-    """Number of observations [K]."""
     total: F64Array
-    """Their sum [K, O]."""
     total_squares: F64Array
-    """Sum of their squares [K, O]."""
 
     @classmethod
     def zeros(cls, num_episodes: int, size: int, xp: ModuleType = np) -> Moments:
         """Return sums over no observations of `size` values, as arrays of `xp`."""
-        return cls(
-            count=xp.zeros(num_episodes, dtype=np.int64),
-            total=xp.zeros((num_episodes, size)),
-            total_squares=xp.zeros((num_episodes, size)),
-        )
+        total, total_squares = xp.zeros((num_episodes, size)), xp.zeros((num_episodes, size))
+        return cls(count=xp.zeros(num_episodes, dtype=np.int64), total=total, total_squares=total_squares)
 
     def add(self, rows: slice | IntArray, observation: F64Array) -> None:
         """Add one observation [rows, O] to each of `rows`."""

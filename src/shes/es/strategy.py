@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from shes.errors import ConfigError, ShapeError
-from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
+from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, update_level
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs
@@ -76,8 +76,8 @@ class EvolutionStrategy:
         state: StrategyState | None = None,
         **options: Any,
     ) -> None:
-        dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         self._single = not isinstance(dim, Sequence)
+        dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         if not dims or not all(is_whole(size) and size > 0 for size in dims):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
         _check_options(options)
@@ -90,12 +90,18 @@ class EvolutionStrategy:
             shaping=make(FITNESS_SHAPINGS, fitness_shaping, options),
             optimizer=make(OPTIMIZERS, optimizer, options),
         )
-        self._signs(0)  # checks the population size
+        self.perturbation.check_size(population_size, mirrored, [True] * len(dims))
         self.table = NoiseTable.open(noise_table_size)
         self.table.check_dim(max(self.dims))
         self.state = self._start(initial, seed) if state is None else state
         if tuple(len(level.theta) for level in self.state.levels) != self.dims:
             raise ShapeError(f"state has levels of {[len(x.theta) for x in self.state.levels]}, dim is {self.dims}.")
+        vectors, own = list(self.state.levels[0].optimizer.slots), list(self.rule.optimizer.slots)
+        if vectors != own:
+            raise ConfigError(
+                f"optimizer {optimizer!r} keeps {' and '.join(own)}, but state is of an optimizer that keeps "
+                f"{' and '.join(vectors)}. Name the optimizer of the earlier strategy."
+            )
 
     @property
     def mean(self) -> F32Array | tuple[F32Array, ...]:
@@ -109,8 +115,7 @@ class EvolutionStrategy:
         The result is the same until the next `tell`.
         """
         candidates = tuple(np.empty((self.population_size, dim), np.float32) for dim in self.dims)
-        signs = self._signs(self.state.generation)
-        noise_index = self._noise_index(len(signs))
+        signs, noise_index = self._draws()
         for level, (state, out) in enumerate(zip(self.state.levels, candidates, strict=True)):
             for i, sign in enumerate(signs[:, :, level].ravel().tolist()):
                 noise = self.table.slice(int(noise_index[level, i // signs.shape[1]]), self.dims[level])
@@ -120,41 +125,40 @@ class EvolutionStrategy:
     def tell(self, fitness: ArrayLike) -> None:
         """Update the levels from the fitness [n] of the candidates (higher is better), or [L, n] with several levels.
 
-        Raises:
-            ShapeError: `fitness` has another shape.
-            PolicyError: A fitness is not finite.
+        Raise ShapeError for another shape, and PolicyError unless every fitness is finite.
         """
         values: F64Array = np.array(fitness, dtype=np.float64)
         expected = (self.population_size,) if self._single else (len(self.dims), self.population_size)
         if values.shape != expected:
             raise ShapeError(f"fitness must have shape {expected}, got {values.shape}.")
         values = values.reshape(len(self.dims), -1)
-        signs = self._signs(self.state.generation)
-        noise_index = self._noise_index(len(signs))
-        levels = list(self.state.levels)
-        for i, level in enumerate(levels):
-            own = signs[:, :, i]
-            if own.any():
-                shaped = self.rule.shaping(select_fitness(values[i], own))
-                update = update_level(level, shaped, own, noise_index[i], self.table, self.rule, self.learning_rate)
-                levels[i] = update.level
+        signs, noise_index = self._draws()
+        levels, rule = list[LevelState](), self.rule
+        for i, level in enumerate(self.state.levels):
+            shaped, own = rule.shape(values[i], signs[:, :, i]), signs[:, :, i]
+            update = update_level(level, shaped, own, noise_index[i], self.table, rule, self.learning_rate)
+            levels.append(update.level)
         self.state = replace(self.state, generation=self.state.generation + 1, levels=tuple(levels))
 
-    def _signs(self, generation: int) -> Signs:
-        """Return the signs [G, M, L] of `generation`."""
-        return self.perturbation.signs(generation, self.population_size, self.mirrored, [True] * len(self.dims))
-
-    def _noise_index(self, num_groups: int) -> IntArray:
-        """Return where the noise of each group starts [L, G]."""
-        return draw_noise_index(self.state.seed, self.state.generation, num_groups, self.dims, self.table.size)
+    def _draws(self) -> tuple[Signs, IntArray]:
+        """Return the signs of this generation [G, M, L], and where the noise of each group starts [L, G]."""
+        learns, generation = [True] * len(self.dims), self.state.generation
+        signs = self.perturbation.signs(generation, self.population_size, self.mirrored, learns)
+        return signs, draw_noise_index(self.state.seed, generation, len(signs), self.dims, self.table.size)
 
     def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> StrategyState:
-        if initial is None:
-            starts = [np.zeros(dim, np.float32) for dim in self.dims]
-        else:
-            starts = [np.array(x, np.float32) for x in ([initial] if self._single else initial)]  # type: ignore[union-attr]
+        starts: Any = [np.zeros(dim) for dim in self.dims]
+        if initial is not None:
+            starts = [initial] if self._single else initial
+        with np.errstate(over="ignore"):
+            starts = [np.array(start, np.float32) for start in starts]
         if tuple(x.shape for x in starts) != tuple((dim,) for dim in self.dims):
             raise ShapeError(f"initial must have the shape of dim {self.dims}, got {[x.shape for x in starts]}.")
+        if not all(np.isfinite(start).all() for start in starts):
+            raise ConfigError(
+                "initial holds NaN, infinity, or a number larger than 3.4e38, the most that single precision holds. "
+                "Begin with finite numbers."
+            )
         levels = tuple(
             LevelState.start("policy" if self._single else f"level_{i}", x, self.rule.optimizer, 0)
             for i, x in enumerate(starts)
@@ -163,10 +167,7 @@ class EvolutionStrategy:
 
 
 def _check_options(options: dict[str, Any]) -> None:
-    """Raise ConfigError if one of `options` belongs to no optimizer and no fitness shaping."""
-    known = {
-        name for registry in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in registry.values() for name in options_of(cls)
-    }
-    for name, value in options.items():
-        if name not in known:
-            raise ConfigError(f"unknown option {name!r}, got {value!r}. Options: {', '.join(sorted(known))}.")
+    classes = [*OPTIMIZERS.values(), *FITNESS_SHAPINGS.values()]
+    known = sorted({name for cls in classes for name in options_of(cls)})
+    for name in options.keys() - known:
+        raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")

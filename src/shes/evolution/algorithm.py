@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 from shes.backends.backend import Backend
@@ -29,6 +29,8 @@ class GenerationReport:
     state: TrainState
     populations: tuple[Population, ...]
     """The members evaluated by whole episodes, then the pairs of a primitive that is evaluated by intervals."""
+    sources: tuple[tuple[Population, int], ...]
+    """For each level the population that evaluates it, and the level's place there."""
     updates: tuple[LevelUpdate, ...]
     rollout_s: float
     """Duration of the rollouts in seconds."""
@@ -50,10 +52,10 @@ class GenerationReport:
         """Log messages of the simulators."""
         return [line for each in self.populations for line in each.results.log]
 
-    @property
-    def sources(self) -> tuple[tuple[Population, int], ...]:
-        """See `sources_of_fitness`."""
-        return sources_of_fitness(self.populations)
+
+def num_steps(populations: tuple[Population, ...]) -> int:
+    """Return the number of environment steps of all episodes."""
+    return sum(int(each.results.steps.sum()) for each in populations)
 
 
 def sources_of_fitness(populations: tuple[Population, ...]) -> tuple[tuple[Population, int], ...]:
@@ -62,15 +64,9 @@ def sources_of_fitness(populations: tuple[Population, ...]) -> tuple[tuple[Popul
     return tuple(sources[level] for level in sorted(sources))
 
 
-def num_steps(populations: tuple[Population, ...]) -> int:
-    """Return the number of environment steps of all episodes."""
-    return sum(int(each.results.steps.sum()) for each in populations)
-
-
 def roll_out(draws: Draws, backend: Backend) -> Population:
     """Return the members with the results of their episodes."""
-    own = {field.name: getattr(draws, field.name) for field in fields(draws)}
-    return Population(**own, results=roll_out_tasks(draws.tasks, draws.generation, backend))
+    return Population(**vars(draws), results=roll_out_tasks(draws.tasks, draws.generation, backend))
 
 
 def evolve(
@@ -89,18 +85,15 @@ def evolve(
         for draw in settings.estimates:  # whole episodes; not in the paper: a primitive may be evaluated by intervals
             draws = draw(state, settings, table.size, populations)  # line 2: n perturbations, sigma * epsilon
             populations += (roll_out(draws, backend),)  # line 3: f = F(theta + sigma * epsilon), for every level
-        rolled_out, updates = perf_counter(), list[LevelUpdate]()
-        sources = sources_of_fitness(populations)
+        rolled_out, sources, updates = perf_counter(), sources_of_fitness(populations), list[LevelUpdate]()
         levels = zip(state.levels, settings.updates, settings.learns, sources, strict=True)
-        for before, rule, learns, (source, i) in levels:
-            statistics = source.results.observed(i, before.statistics) if learns else before.statistics
-            level = replace(before, statistics=statistics)
-            fitness = source.shaped_fitness(i, rule)  # each level has its own
+        for level, rule, learns, (source, i) in levels:  # each level has its own fitness
+            results, signs, noise_index = source.results, source.signs[:, :, i], source.noise_index[i]
+            if learns:
+                level = replace(level, statistics=results.observed(i, level.statistics))  # noqa: PLW2901
+            fitness = rule.shape(results.fitness[i], signs, results.has_fallen.mean(axis=1))
             # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
-            update = update_level(
-                level, fitness, source.signs[:, :, i], source.noise_index[i], table, rule, source.learning_rate, pool
-            )
-            updates.append(update)
+            updates.append(update_level(level, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
         state = replace(
             state,
             generation=state.generation + 1,
@@ -111,6 +104,7 @@ def evolve(
         yield GenerationReport(
             state=state,
             populations=populations,
+            sources=sources,
             updates=tuple(updates),
             rollout_s=rolled_out - start,
             update_s=perf_counter() - rolled_out,

@@ -1,7 +1,7 @@
 """The archive of a search for a way: the places that were reached, how to get back to each, and the best way so far.
 
 A place is a cell of the task's own coordinates. Ways form a tree of nodes, the robot's positions at the decisions.
-C cells, N nodes, W points of the way, K coordinates of a cell, S of a physics state, X of a position.
+C cells, N nodes, W points of the way, M walkers, K coordinates of a cell, S of a physics state, X of a position.
 
 Source: Ecoffet et al. 2021 (Go-Explore).
 Deviation: nothing but the time to get there makes a cell better.
@@ -17,22 +17,6 @@ from shes.types import BoolArray, F64Array, IntArray
 
 PATIENCE = 5
 """The search is over if this many slices have not shortened the way."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reached:
-    """Places that the walkers of a search have reached [M]."""
-
-    cells: IntArray
-    """Cells [M, K]."""
-    states: F64Array
-    """Physics states [M, S]."""
-    steps: IntArray
-    """Control steps since the reset [M]."""
-    nodes: IntArray
-    """Nodes [M]."""
-    is_success: BoolArray
-    """Whether the task is solved there [M]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +72,7 @@ class Archive:
 
     @property
     def has_begun(self) -> bool:
-        """Whether any place beside the reset is known."""
+        """Whether any place but the reset is known."""
         return len(self.cells) > 1
 
     def choose(self, rng: np.random.Generator, number: int, last_step: int) -> IntArray:
@@ -101,43 +85,42 @@ class Archive:
 
     def grown(self, parents: IntArray, positions: F64Array) -> Archive:
         """Return the archive with more nodes."""
-        return replace(
-            self,
-            parents=np.concatenate([self.parents, parents]),
-            positions=np.concatenate([self.positions, positions]),
-        )
+        parents, positions = np.concatenate([self.parents, parents]), np.concatenate([self.positions, positions])
+        return replace(self, parents=parents, positions=positions)
 
-    def entered(self, found: Reached) -> Archive:
-        """Return the archive with places `found`: those of new cells, those reached in fewer steps, and the way."""
-        cells, cell = np.unique(np.concatenate([self.cells, found.cells]), axis=0, return_inverse=True)
-        cell, steps = cell.reshape(-1), np.concatenate([self.steps, found.steps])
-        order = np.lexsort((steps, cell))  # stable: of equal steps the earlier one stays
-        best = order[np.searchsorted(cell[order], np.arange(len(cells)))]
-        chosen = np.zeros(len(cells), dtype=np.int64)
+    def entered(
+        self, cells: IntArray, states: F64Array, steps: IntArray, nodes: IntArray, *, is_success: BoolArray
+    ) -> Archive:
+        """Return the archive with places where walkers are: new cells, cells reached in fewer steps, and the way.
+
+        Args:
+            cells: Cells [M, K].
+            states: Physics states [M, S].
+            steps: Control steps since the reset [M].
+            nodes: Nodes [M].
+            is_success: Whether the task is solved there [M].
+        """
+        found, cell = np.unique(np.concatenate([self.cells, cells]), axis=0, return_inverse=True)
+        cell, all_steps = cell.reshape(-1), np.concatenate([self.steps, steps])
+        order = np.lexsort((all_steps, cell))  # stable: of equal steps the earlier one stays
+        best = order[np.searchsorted(cell[order], np.arange(len(found)))]
+        chosen = np.zeros(len(found), dtype=np.int64)
         chosen[cell[: len(self.cells)]] = self.chosen
         grown = replace(
             self,
-            cells=cells,
-            states=np.concatenate([self.states, found.states])[best],
-            steps=steps[best],
+            cells=found,
+            states=np.concatenate([self.states, states])[best],
+            steps=all_steps[best],
             chosen=chosen,
-            nodes=np.concatenate([self.nodes, found.nodes])[best],
+            nodes=np.concatenate([self.nodes, nodes])[best],
         )
-        solved = np.flatnonzero(found.is_success)
-        if not len(solved):
+        shortest = int(np.where(is_success, steps, np.iinfo(np.int64).max).argmin()) if is_success.any() else None
+        if shortest is None or 0 < self.way_steps <= steps[shortest]:
             return grown
-        first = solved[np.argmin(found.steps[solved])]
-        way_steps = int(found.steps[first])
-        if self.way_steps and way_steps >= self.way_steps:
-            return grown
-        return replace(grown, way=self._way_to(int(found.nodes[first])), way_steps=way_steps, stalled=-1)
-
-    def _way_to(self, node: int) -> F64Array:
-        """Return the positions from the reset to `node`."""
-        way = [node]
+        way = [int(nodes[shortest])]
         while way[-1]:
             way.append(int(self.parents[way[-1]]))
-        return self.positions[way[::-1]]
+        return replace(grown, way=self.positions[way[::-1]], way_steps=int(steps[shortest]), stalled=-1)
 
     def after_slice(self) -> Archive:
         """Return the archive after a slice of the search: without nodes that lead nowhere, or without states.
@@ -150,28 +133,21 @@ class Archive:
             is_used[ends] = True
             ends = self.parents[ends]
         number = np.cumsum(is_used) - 1
-        stalled = self.stalled + 1 if self.way_steps else 0
-        after = replace(
-            self,
-            nodes=number[self.nodes],
-            parents=number[self.parents[is_used]],
-            positions=self.positions[is_used],
-            stalled=stalled,
-        )
+        stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
+        used = {"nodes": number[self.nodes], "parents": parents, "positions": self.positions[is_used]}
+        after = replace(self, **used, stalled=stalled)
         return after.over() if stalled >= PATIENCE else after
 
     def news(self, before: Archive) -> list[str]:
-        """Return in words what has happened since `before`: the search has begun, a first way is known, it is over."""
-        news = list[str]()
-        if self.has_begun and not before.has_begun:
-            news.append("the primitive walks: the search for a way begins")
-        if self.way_steps and not before.way_steps:
-            news.append(
-                f"a way of {self.way_steps} steps is known after {self.env_steps:,} environment steps of search"
-            )
-        if self.is_over and not before.is_over:
-            news.append(f"the search is over: the way has {self.way_steps} steps")
-        return news
+        """Return in words what has happened since `before`."""
+        news = {
+            "the primitive walks: the search for a way begins": self.has_begun and not before.has_begun,
+            f"a way of {self.way_steps} steps is known after {self.env_steps:,} environment steps of search": (
+                self.way_steps and not before.way_steps
+            ),
+            f"the search is over: the way has {self.way_steps} steps": self.is_over and not before.is_over,
+        }
+        return [line for line, has_happened in news.items() if has_happened]
 
     @property
     def waypoints(self) -> F64Array | None:

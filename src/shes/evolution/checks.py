@@ -13,8 +13,6 @@ from shes.evolution.evolution_settings import HierarchySettings
 from shes.evolution.hyperparameters import by_episodes, explores, is_alone, is_branched, learns
 from shes.settings import flag, out_of_range, setting_fields
 
-_WHOLE_GROUPS = 48
-"""Members of a population that has whole mirrored groups, however they are mirrored and perturbed."""
 _OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
 """Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
 
@@ -27,8 +25,8 @@ def check_together(settings: Any) -> None:
             f"{settings.run.env}. Set --no-freeze-primitive to train it further."
         )
     _check_population(settings)
-    if "hierarchy" in settings and not is_alone(settings) and settings.hierarchy.controller_network == "equivariant":
-        _check_equivariant(settings.hierarchy)
+    if "hierarchy" in settings:
+        _check_frames(settings)
     if is_branched(settings):
         _check_branches(settings)
     if explores(settings):
@@ -36,7 +34,7 @@ def check_together(settings: Any) -> None:
 
 
 def _check_population(settings: Any) -> None:
-    """Check that the population consists of whole mirrored groups, and fits shaping and symmetry."""
+    """Check that the population consists of whole mirrored groups, and fits the shaping."""
     evolution, levels = settings.evolution, by_episodes(settings)
     members = len(sign_matrix(evolution.mirrored, max(1, sum(levels))))
     if evolution.fitness_shaping == "pair_rank" and members != 2:
@@ -44,27 +42,20 @@ def _check_population(settings: Any) -> None:
             f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {evolution.mirrored!r} a group "
             f"has {members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
         )
-    if (
-        "hierarchy" in settings
-        and settings.hierarchy.symmetry != "none"
-        and not PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).is_egocentric
-    ):
-        raise ConfigError(
-            f"symmetry is {settings.hierarchy.symmetry!r}, but the primitive's view is "
-            f"{settings.hierarchy.primitive_view!r}: only what is seen from the robot's own frame can be turned. "
-            "Set --primitive-view egocentric, or --symmetry none."
-        )
     perturbation = PERTURBATIONS.find(settings.values.get("perturbation", HierarchySettings.perturbation))()
-    # A population of the same remainder tells as much, without an array of every member.
-    small = min(evolution.population_size, _WHOLE_GROUPS + evolution.population_size % _WHOLE_GROUPS)
-    try:
-        perturbation.signs(0, small, evolution.mirrored, levels)
-    except ConfigError:  # the message is to have the size that was asked for
-        perturbation.signs(0, evolution.population_size, evolution.mirrored, levels)
+    perturbation.check_size(evolution.population_size, evolution.mirrored, levels)
 
 
-def _check_equivariant(hierarchy: Any) -> None:
-    """Check that the controller's view and output turn with the robot."""
+def _check_frames(settings: Any) -> None:
+    """Check that what is to turn with the robot is seen from its own frame."""
+    hierarchy = settings.hierarchy
+    if hierarchy.symmetry != "none" and not PRIMITIVE_VIEWS.find(hierarchy.primitive_view).is_egocentric:
+        raise ConfigError(
+            f"symmetry is {hierarchy.symmetry!r}, but the primitive's view is {hierarchy.primitive_view!r}: only what "
+            "is seen from the robot's own frame can be turned. Set --primitive-view egocentric, or --symmetry none."
+        )
+    if is_alone(settings) or hierarchy.controller_network != "equivariant":
+        return
     allowed = {"controller_view": ("sectors",), "controller_output": ("heading_direction", "heading_vector")}
     for name, values in allowed.items():
         value = getattr(hierarchy, name)
@@ -82,21 +73,23 @@ def _check_branches(settings: Any) -> None:
             f"primitive_estimate is 'interval', but the physics of {settings.run.env} is its own and cannot be "
             "branched. Set --primitive-estimate episode."
         )
-    is_beside = not is_alone(settings)
-    if is_beside and learns(settings)[-1] and PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
-        raise ConfigError(
-            "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
-            "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
-        )
-    own = settings.estimate.primitive_population_size if is_beside else None
-    name, pairs = ("primitive_population_size", own) if own else ("population_size", settings.evolution.population_size)
-    if pairs % 2:
-        raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
+    name, members = "population_size", settings.evolution.population_size
+    if not is_alone(settings):
+        if learns(settings)[-1] and PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
+            raise ConfigError(
+                "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
+                "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
+            )
+        if own := settings.estimate.primitive_population_size:
+            name, members = "primitive_population_size", own
+    if members % 2:
+        raise out_of_range(name, members, "an even number: branches are mirrored pairs")
 
 
 def _check_exploration(settings: Any) -> None:
     """Check that a way to the target can be searched for, and found again by the reward."""
-    if not find_environment(settings.run.env).has_places:
+    environment: Any = find_environment(settings.run.env)
+    if not environment.has_places:
         raise ConfigError(
             f"explore is 'archive', but {settings.run.env} has no target with a way to search for: only Maze, Push and "
             "Fall of this package have. Set --explore none."
@@ -104,30 +97,21 @@ def _check_exploration(settings: Any) -> None:
     longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
     if longest is not None and longest < interval:
         raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
-    options = settings.environment
-    if options.waypoints is not None:
-        raise ConfigError(
-            f"explore is 'archive', but waypoints {options.waypoints} are a way already. Set --waypoints none, or "
-            "--explore none."
-        )
-    if options.has_random_target:
-        raise ConfigError(
-            "explore is 'archive', but the training target is random. Set --target, e.g. --target 0 16, or "
-            "--explore none."
-        )
-    environment: Any = find_environment(settings.run.env)
-    own = environment.task.own_target
+    options, own = settings.environment, environment.task.own_target
     target, sought = options.target or own, options.evaluation_target or own
-    if target != sought:
-        raise ConfigError(
-            f"explore is 'archive', which searches for a way to evaluation's target {sought}, but the training target "
-            f"is {target}. Set --target {' '.join(f'{x:g}' for x in sought)}, or --explore none."
-        )
-    if PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
-        raise ConfigError(
-            "explore is 'archive', but the primitive sees the task's observation, which a walker does not have. "
-            "Set --primitive-view egocentric or proprioception, or --explore none."
-        )
+    if options.waypoints is not None:
+        fault, fix = f"waypoints {options.waypoints} are a way already", "--waypoints none"
+    elif options.has_random_target:
+        fault, fix = "the training target is random", "--target, e.g. --target 0 16"
+    elif target != sought:
+        fault = f"it searches for a way to evaluation's target {sought}, while the training target is {target}"
+        fix = f"--target {' '.join(f'{x:g}' for x in sought)}"
+    elif PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
+        fault = "the primitive sees the task's observation, which a walker does not have"
+        fix = "--primitive-view egocentric or proprioception"
+    else:
+        return
+    raise ConfigError(f"explore is 'archive', but {fault}. Set {fix}, or --explore none.")
 
 
 def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
@@ -149,13 +133,11 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
                 )
     evaluated = by_episodes(settings)
     if "perturbation" in asked and sum(evaluated) == 1:
-        level = settings.level_names[evaluated.index(True)]
-        needed, role = "learning levels", "learns"
-        if sum(learns(settings)) > 1:
-            needed, role = "levels evaluated by whole episodes", "is"
+        is_one = sum(learns(settings)) == 1
+        needed, role = ("learning levels", "learns") if is_one else ("levels evaluated by whole episodes", "is")
         raise ConfigError(
-            f"--perturbation needs two {needed}; in this run only the {level} {role}; got "
-            f"{asked['perturbation']!r}. Omit it."
+            f"--perturbation needs two {needed}; in this run only the {settings.level_names[evaluated.index(True)]} "
+            f"{role}; got {asked['perturbation']!r}. Omit it."
         )
 
 

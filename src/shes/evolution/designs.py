@@ -1,9 +1,15 @@
-"""Agent designs of the evolution strategies, from the settings of a run and its environment."""
+"""Agent designs of the evolution strategies, and the transfer of their levels between runs.
+
+A primitive brings its goal encoding, clock, view and symmetry; a controller its view, network and output.
+
+Source: SHES paper, II-D (transfer).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.equivariant import EquivariantMLP, sector_actions
@@ -11,46 +17,39 @@ from shes.agents.goal_agent import Controller, GoalDesign
 from shes.agents.goals import SectorOutput, make_controller_output, make_goal_encoding
 from shes.agents.mlp import MLP
 from shes.agents.rewards import make_primitive_reward
-from shes.agents.views import (
-    CONTROLLER_VIEWS,
-    PRIMITIVE_VIEWS,
-    Clock,
-    Proprioception,
-    SectorsView,
-    View,
-    ViewChoice,
-)
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, Proprioception, SectorsView, View, ViewChoice
+from shes.algorithms.contract import LevelTransfer
 from shes.algorithms.problem import Problem
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.evolution.hyperparameters import explores, is_alone, is_branched
+from shes.evolution.state import TrainState
 from shes.settings import flag
 
 
 def flat_design(problem: Problem) -> FlatDesign:
     """Return the design of an agent with a single policy."""
     task, settings = problem.sample(), problem.settings
-    inputs = _clock_size(settings) + task.observation_size
-    return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **_acting(settings, task))
+    policy = MLP(_clock_size(settings) + task.observation_size, settings.networks.hidden, task.action_size)
+    return FlatDesign(policy=policy, **_acting(settings, task))
 
 
 def goal_design(problem: Problem) -> GoalDesign:
     """Return the design of a primitive, with its controller unless the environment sets the goals.
 
-    Raises:
-        ConfigError: A view or the symmetry does not suit the environment, or the position is unknown.
+    Raise ConfigError if a view or the symmetry does not suit the environment, or the position is unknown.
     """
     task, settings = problem.sample(), problem.settings
     hierarchy = settings.hierarchy
     task.check_position()
-    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), primitive_view(settings, task)
+    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
     inputs = encoding.size + _clock_size(settings) + view.size(task.observation_size)
     return GoalDesign(
         controller=None if is_alone(settings) else _controller(settings, task),
-        primitive=MLP(inputs, primitive_layers(settings), task.action_size),
+        primitive=MLP(inputs, _primitive_layers(settings), task.action_size),
         primitive_view=view,
-        symmetry=_symmetry(settings, task),
+        symmetry=None if hierarchy.symmetry == "none" else _symmetry(settings, task),
         goal_encoding=encoding,
         primitive_reward=make_primitive_reward(hierarchy.primitive_reward, settings.values),
         controller_interval=hierarchy.controller_interval,
@@ -58,13 +57,26 @@ def goal_design(problem: Problem) -> GoalDesign:
     )
 
 
+def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
+    """Return the design of the agents in branches under a controller, or None if there are no such branches."""
+    if not (is_branched(settings) or explores(settings)) or not isinstance(design, GoalDesign) or not design.controller:
+        return None
+    goals = settings.estimate.intervals if is_branched(settings) else 1
+    return replace(design, controller=None, num_recorded_goals=goals)
+
+
+def primitive_inputs(problem: Problem) -> tuple[str, ...]:
+    """Return the name of each input of the primitive, in order."""
+    task, settings = problem.sample(), problem.settings
+    encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
+    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.values).size)]
+    clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
+    return (*features, *clock, *_primitive_view(settings, task).names(task.observation_names))
+
+
 def _controller(settings: Any, task: EpisodeBatch) -> Controller:
-    """Return the design of the controller."""
-    hierarchy, hidden = settings.hierarchy, settings.networks.hidden
-    output, view = (
-        make_controller_output(hierarchy.controller_output, settings.values),
-        _controller_view(settings, task),
-    )
+    hierarchy, hidden, view = settings.hierarchy, settings.networks.hidden, _controller_view(settings, task)
+    output = make_controller_output(hierarchy.controller_output, settings.values)
     if hierarchy.controller_network == "equivariant":
         assert isinstance(view, SectorsView), "check_together has seen to it"
         output = SectorOutput(view.num_sectors, output)
@@ -83,36 +95,22 @@ def _controller(settings: Any, task: EpisodeBatch) -> Controller:
 
 def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
     """Return the fields of a design that concern the acting level."""
-    clock = None
-    if settings.networks.clock_frequency is not None:
-        clock = Clock(frequency_hz=settings.networks.clock_frequency, step_s=task.step_s)
+    frequency = settings.networks.clock_frequency
+    clock = None if frequency is None else Clock(frequency_hz=frequency, step_s=task.step_s)
     return {"control_limit": task.control_limit, "clock": clock}
-
-
-def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
-    """Return the design of the agents in branches under a controller, or None if there are no such branches."""
-    if not (is_branched(settings) or explores(settings)) or not isinstance(design, GoalDesign) or not design.controller:
-        return None
-    return replace(
-        design, controller=None, num_recorded_goals=settings.estimate.intervals if is_branched(settings) else 1
-    )
-
-
-def primitive_layers(settings: Any) -> tuple[int, ...]:
-    """Return the sizes of the primitive's hidden layers."""
-    own = None if is_alone(settings) else settings.hierarchy.primitive_hidden
-    return settings.networks.hidden if own is None else own
 
 
 def _clock_size(settings: Any) -> int:
     return 0 if settings.networks.clock_frequency is None else Clock.size
 
 
-def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
-    """Return the primitive's symmetry group, if any; raise ConfigError if the robot has no known symmetry."""
+def _primitive_layers(settings: Any) -> tuple[int, ...]:
+    own = settings.values.get("primitive_hidden")
+    return settings.networks.hidden if own is None else own
+
+
+def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup:
     kind = settings.hierarchy.symmetry
-    if kind == "none":
-        return None
     group = None if task.robot is None else task.robot.symmetry(is_mirrored=kind == "dihedral")
     if group is None:
         robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
@@ -127,9 +125,8 @@ def _view(settings: Any, task: EpisodeBatch, setting: str, choice: type[ViewChoi
     """Return the view that `setting` chooses; raise ConfigError if the robot has none."""
     view = choice().of(task)
     if view is None:
-        env = settings.run.env
+        env, name = settings.run.env, settings.values[setting]
         whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
-        name = settings.values[setting]
         raise ConfigError(f"{setting} is {name!r}, but {whose}, {choice.lack}. Set {flag(setting)} to another one.")
     return view
 
@@ -138,24 +135,85 @@ def _controller_view(settings: Any, task: EpisodeBatch) -> View:
     return _view(settings, task, "controller_view", CONTROLLER_VIEWS.find(settings.hierarchy.controller_view))
 
 
-def primitive_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the primitive; raise ConfigError if the robot has no such view."""
+def _primitive_view(settings: Any, task: EpisodeBatch) -> View:
     choice = PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view)
     if choice.sees_task and is_alone(settings):
         choice = Proprioception  # the task's own observation would tell it where the goal is
     return _view(settings, task, "primitive_view", choice)
 
 
-def primitive_inputs(problem: Problem) -> tuple[str, ...]:
-    """Return the name of each input of the primitive, in order."""
-    task, settings = problem.sample(), problem.settings
-    encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
-    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.values).size)]
-    clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
-    return (*features, *clock, *primitive_view(settings, task).names(task.observation_names))
+class _Transfer(LevelTransfer):
+    """The transfer of the level called `name`."""
+
+    name: ClassVar[str]
+
+    def move(self, source: TrainState, state: TrainState) -> TrainState:
+        """Return `state` with the parameters and statistics of the level in state `source`."""
+        theirs = next(level for level in source.levels if level.name == self.name)
+        levels = tuple(
+            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == self.name else level
+            for level in state.levels
+        )
+        return replace(state, levels=levels)
 
 
-def controller_inputs(problem: Problem) -> tuple[str, ...]:
-    """Return the name of each input of the controller, in order."""
-    task, settings = problem.sample(), problem.settings
-    return tuple(_controller_view(settings, task).names(task.observation_names))
+class PrimitiveTransfer(_Transfer):
+    """The transfer of a primitive."""
+
+    name = "primitive"
+    trained_by = "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception"
+    advice = (
+        "Name a primitive of the same robot, trained with the same --spec by shes train ant-flagrun or point-flagrun, "
+        "or by a run of two levels with --primitive-view proprioception (for the point of Fall, which has a height)."
+    )
+
+    def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
+        """Return the settings of the primitive's inputs and layers."""
+        view = source.hierarchy.primitive_view
+        is_plain = is_alone(source) and PRIMITIVE_VIEWS.find(view).sees_task
+        return {
+            **{name: source.values[name] for name in ("goal_encoding", "clock_frequency", "symmetry")},
+            "hidden" if level_names == ("primitive",) else "primitive_hidden": _primitive_layers(source),
+            "primitive_view": "proprioception" if is_plain else view,
+        }
+
+    def interface(self, problem: Problem) -> str:
+        """Return the inputs and outputs of the primitive in words."""
+        inputs, task, settings = primitive_inputs(problem), problem.sample(), problem.settings
+        kind = settings.hierarchy.symmetry
+        symmetry = "" if kind == "none" else f" ({kind} symmetry)"
+        return (
+            f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {settings.environment.spec} and "
+            f"{task.action_size} controls of up to {task.control_limit:g}"
+        )
+
+    def is_egocentric(self, source: Any) -> bool:
+        """Return whether the primitive sees the robot's state in its own frame."""
+        return PRIMITIVE_VIEWS.find(source.hierarchy.primitive_view).is_egocentric
+
+
+class ControllerTransfer(_Transfer):
+    """The transfer of a controller."""
+
+    name = "controller"
+    trained_by = "shes train ant-gather, or another run of two levels"
+    advice = "Name a controller of the same task, trained with the same --spec."
+    suggested = ("controller_interval", "goal_distance", "minimum_goal_distance")
+
+    def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
+        """Return the settings of the controller's inputs, outputs and layers."""
+        names = ("controller_network", "controller_output", "controller_view", "hidden")
+        return {name: source.values[name] for name in names}
+
+    def interface(self, problem: Problem) -> str:
+        """Return the inputs and outputs of the controller in words."""
+        task, settings = problem.sample(), problem.settings
+        inputs = _controller_view(settings, task).names(task.observation_names)
+        spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
+        return f"{len(inputs)} inputs ({', '.join(inputs)}) of {spec}"
+
+
+PRIMITIVE_TRANSFER: Mapping[str, LevelTransfer] = {"primitive": PrimitiveTransfer()}
+"""The transfer to a primitive alone."""
+SHES_TRANSFERS: Mapping[str, LevelTransfer] = {**PRIMITIVE_TRANSFER, "controller": ControllerTransfer()}
+"""The transfers to a controller and its primitive."""

@@ -1,10 +1,11 @@
 """The populations of a generation: what is drawn for their members, by whole episodes or by intervals.
 
 An episode evaluates every level that it perturbs (SHES paper, Algorithm 1). The interval estimate evaluates a primitive
-alone: a mirrored pair plays the next intervals from the same physics state on the same goals. The two differ only in
-their perturbation, and an environment step evaluates many more directions than in whole episodes. Under a controller,
-pairs branch off snapshots of the whole episodes. If the environment sets the goals, pairs continue from the end of an
-earlier pair, in episodes that run from generation to generation.
+alone: a mirrored pair plays the next intervals from the same physics state on the same goals, which differ only in
+their perturbation. Under a controller, pairs branch off snapshots of the whole episodes. If the environment sets the
+goals, pairs continue from the end of an earlier pair, in episodes that run from generation to generation.
+
+G groups of M members, E episodes per member, L levels, S values of a physics state.
 
 Source: SHES paper, II-A, II-E, II-F; `docs/learning.md` (intervals); compare the "vine" estimate of Schulman et al.
 2015 (TRPO), section 5.2.
@@ -18,28 +19,47 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shes.es.level import LevelParameters, UpdateRule, draw_noise_index, select_fitness
+from shes.es.level import LevelParameters, UpdateRule, draw_noise_index
 from shes.es.perturbation import ManyToMany, Perturbation, Signs
-from shes.es.schedules import Schedule
 from shes.evolution.state import RunningEpisodes, TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
 from shes.rollout.roll_out import PopulationResults
 from shes.streams import Purpose, stream
-from shes.types import F64Array, IntArray
+from shes.types import IntArray
 
 _ENOUGH_ROWS = 3
-"""Number of episodes per member from which each member has a matmul of its own.
-
-A matmul shared by several members always has the rows of all of them. On a cluster, where a worker may run only a few
-episodes, this would cost more than it saves.
-"""
+"""Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all members,
+which costs more than it saves where a worker runs only a few episodes."""
 COMMON_RANDOM_NUMBERS = ("off", "group", "population")
 """Which members share episode seeds: none, those of a mirrored group, or the whole population.
 
 Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the comparison
 within a group. In the authors' code every member draws its own seeds.
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """Value of a quantity in each generation: it changes by a constant factor, or not at all.
+
+    Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`.
+    """
+
+    start: float
+    """Value in generation 0, positive."""
+    end: float | None = None
+    """Value from generation `generations` on, positive; None for a constant."""
+    generations: int = 1
+    """Number of generations from `start` to `end`."""
+
+    def value(self, generation: int) -> float:
+        """Return the value after `generation` updates: exactly `start` at 0, exactly `end` from `generations` on."""
+        if generation <= 0 or self.end is None:
+            return self.start
+        if generation >= self.generations:
+            return self.end
+        return self.start * (self.end / self.start) ** (generation / self.generations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +75,6 @@ class IntervalEstimate:
     """Half width in metres of the square from which goals are drawn if there is no snapshot."""
     sigma: Schedule
     learning_rate: Schedule
-
-    @property
-    def num_pairs(self) -> int:
-        """Number of mirrored pairs per generation, G."""
-        return self.population_size // 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +141,6 @@ class Draws:
     levels: tuple[int, ...]
     """Indices in the state of the L levels that members have."""
     signs: Signs
-    """Signs of every member at each level [G, M, L]; 0 for no perturbation."""
     noise_index: IntArray
     """Start of the noise slice of each group [L, G]."""
     tasks: list[EpisodeTask]
@@ -143,21 +157,6 @@ class Population(Draws):
 
     results: PopulationResults
 
-    def shaped_fitness(self, level: int, rule: UpdateRule) -> F64Array:
-        """Return the shaped fitness [n'] of the members that perturb the level at place `level` of `levels`.
-
-        Source: SHES paper, II-A: each level has its own fitness.
-        """
-        signs = self.signs[:, :, level]
-        fitness = select_fitness(self.results.fitness[level], signs)
-        if not len(fitness):
-            return fitness
-        shaped = rule.shaping(fitness)
-        if rule.fall_price:
-            falls = select_fitness(self.results.has_fallen.mean(axis=1), signs)
-            shaped = shaped - rule.fall_price * (falls - falls.mean())
-        return shaped
-
 
 def draw_episodes(
     state: TrainState,
@@ -166,66 +165,51 @@ def draw_episodes(
     before: Sequence[Population] = (),  # noqa: ARG001 - the signature of an `Estimate`
 ) -> Draws:
     """Return the members that whole episodes evaluate in the generation that follows `state`."""
-    estimate, generation = settings.intervals, state.generation
-    signs, episodes, levels = settings.signs(generation).copy(), settings.episodes_per_policy, state.levels
-    parameters = LevelParameters.of_all(levels)
-    is_searching = state.archive is not None and not state.archive.way_steps
+    generation, levels, archive = state.generation, LevelParameters.of_all(state.levels), state.archive
+    signs = settings.signs(generation)
+    is_searching = archive is not None and not archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
-        parameters = (*(level.at_zero() for level in parameters[:-1]), parameters[-1])
+        levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0
-    are_same = is_searching and not settings.by_episodes[-1]  # all members are the mean policies
-    noise_index = draw_noise_index(
-        state.seed, generation, len(signs), [len(level.theta) for level in levels], table_size
+    dims, members, episodes = [len(level.theta) for level in levels], signs.shape[1], settings.episodes_per_policy
+    noise_index = draw_noise_index(state.seed, generation, len(signs), dims, table_size)
+    shared = Generation(
+        levels=levels,
+        sigma=settings.sigma.value(generation),
+        episodes_per_policy=episodes,
+        is_evaluation=False,
+        members_per_lane=members if episodes < _ENOUGH_ROWS else 1,
+        has_frozen_control=not settings.by_episodes[-1],
+        snapshot_goals=0 if settings.intervals is None else settings.intervals.intervals,
+        decisions="wander" if is_searching else None,
+        way=None if archive is None else archive.waypoints,
     )
-    snapshot_steps = list[int]()
-    if estimate is not None:
-        num_episodes = settings.population_size * episodes
-        snapshot_steps = draw_snapshot_steps(state, num_episodes, settings.horizon, estimate.controller_interval)
     return Draws(
         levels=tuple(range(len(levels))),
         signs=signs,
         noise_index=noise_index,
-        tasks=_episode_tasks(
-            state,
-            signs,
-            noise_index,
-            episodes,
-            "off" if are_same else settings.common_random_numbers,
-            settings.statistics_fraction,
-            snapshot_steps,
-        ),
-        generation=Generation(
-            levels=parameters,
-            sigma=settings.sigma.value(generation),
-            episodes_per_policy=episodes,
-            is_evaluation=False,
-            members_per_lane=members_per_lane(signs.shape[1], episodes),
-            has_frozen_control=not settings.by_episodes[-1],
-            snapshot_goals=0 if estimate is None else estimate.intervals,
-            decisions="wander" if is_searching else None,
-            way=None if state.archive is None else state.archive.waypoints,
-        ),
+        tasks=_episode_tasks(state, settings, signs, noise_index, shared.members_per_lane),
+        generation=shared,
         learning_rate=settings.learning_rate.value(generation),
     )
 
 
 def _episode_tasks(
-    state: TrainState,
-    signs: Signs,
-    noise_index: IntArray,
-    episodes: int,
-    common_random_numbers: str,
-    statistics_fraction: float,
-    snapshot_steps: Sequence[int],
+    state: TrainState, settings: Hyperparameters, signs: Signs, noise_index: IntArray, in_lane: int
 ) -> list[EpisodeTask]:
-    """Return the tasks of all members; `snapshot_steps` [G * M * E] are those before each snapshot, if any."""
+    """Return the tasks of all members, each for `in_lane` members of a group."""
     groups, members, _ = signs.shape
-    rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
-    shares = {"off": (groups, members), "group": (groups, 1), "population": (1, 1)}[common_random_numbers]
+    episodes, rng = settings.episodes_per_policy, stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
+    common = settings.common_random_numbers if signs.any() else "off"  # without noise all members are the same
+    shares = {"off": (groups, members), "group": (groups, 1), "population": (1, 1)}[common]
     seeds = np.broadcast_to(rng.integers(0, 2**63, (*shares, episodes)), (groups, members, episodes))
     sampler = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation)
-    records = [sampler.random() < statistics_fraction for _ in range(groups)]
-    in_lane = members_per_lane(members, episodes)
+    records = [sampler.random() < settings.statistics_fraction for _ in range(groups)]
+    snapshot_steps = list[int]()  # before the snapshot of each episode
+    if settings.intervals is not None:
+        interval = settings.intervals.controller_interval
+        rng, decisions = stream(state.seed, Purpose.SNAPSHOTS, state.generation), -(-settings.horizon // interval)
+        snapshot_steps = (interval * rng.integers(0, decisions, seeds.size)).tolist()
     return [
         EpisodeTask(
             member=group * members + first,
@@ -241,18 +225,6 @@ def _episode_tasks(
     ]
 
 
-def members_per_lane(members: int, episodes: int) -> int:
-    """Return how many of the `members` of a group share a matmul, M': all of them if E (`episodes`) is small."""
-    return members if episodes < _ENOUGH_ROWS else 1
-
-
-def draw_snapshot_steps(state: TrainState, num_episodes: int, horizon: int, controller_interval: int) -> list[int]:
-    """Return for each of `num_episodes` whole episodes the number of steps, at a decision, before its snapshot."""
-    decisions = -(-horizon // controller_interval)
-    rng = stream(state.seed, Purpose.SNAPSHOTS, state.generation)
-    return (controller_interval * rng.integers(0, decisions, num_episodes)).tolist()
-
-
 def draw_pairs(
     state: TrainState, settings: Hyperparameters, table_size: int, before: Sequence[Population] = ()
 ) -> Draws:
@@ -260,17 +232,16 @@ def draw_pairs(
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue.
     """
-    estimate, generation = settings.intervals, state.generation
+    estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
-    groups, level = estimate.num_pairs, len(state.levels) - 1
-    primitive = state.levels[level]
-    noise_index = draw_noise_index(
-        state.seed, generation, groups, (len(primitive.theta),), table_size, first_level=level
-    )
+    groups, primitive = estimate.population_size // 2, state.levels[level]
+    noise_index = draw_noise_index(state.seed, generation, groups, (len(primitive.theta),), table_size, level)
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
     if before:
-        starts = _drawn_starts(rng, [each for one in before for each in one.results.snapshots.values()], estimate)
+        starts = _drawn_starts(
+            rng, [each for one in before for each in one.results.snapshots.values()], estimate, groups
+        )
     else:
         starts = _running_starts(state.running, groups)
     tasks = [
@@ -304,45 +275,40 @@ def draw_pairs(
 
 def _running_starts(running: RunningEpisodes | None, groups: int) -> list[Snapshot | None]:
     """Return a snapshot of each running episode; None for one that starts anew."""
-    if running is None:
-        return [None] * groups
-    return [
-        None if steps < 0 else Snapshot(state=state, steps=steps)
-        for state, steps in zip(running.states, running.steps.tolist(), strict=True)
-    ]
+    running = running or RunningEpisodes(states=np.zeros((groups, 0)), steps=np.full(groups, -1))
+    starts = zip(running.states, running.steps.tolist(), strict=True)
+    return [None if steps < 0 else Snapshot(state=state, steps=steps) for state, steps in starts]
 
 
 def _drawn_starts(
-    rng: np.random.Generator, snapshots: Sequence[Snapshot], estimate: IntervalEstimate
+    rng: np.random.Generator, snapshots: Sequence[Snapshot], estimate: IntervalEstimate, groups: int
 ) -> list[Snapshot | None]:
     """Return a snapshot for each pair: all `snapshots` in random order, repeated as necessary.
 
     Without snapshots, because every episode ended too early, pairs start at a reset with random goals.
     """
     if not snapshots:
-        shape = (estimate.num_pairs, estimate.intervals, 2)
-        goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, shape)
+        goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, (groups, estimate.intervals, 2))
         return [Snapshot(state=None, steps=0, goals=own) for own in goals]
     order = rng.permutation(len(snapshots))
-    return [snapshots[order[group % len(order)]] for group in range(estimate.num_pairs)]
+    return [snapshots[order[group % len(order)]] for group in range(groups)]
 
 
 def next_running(pairs: Population, horizon: int) -> RunningEpisodes | None:
     """Return the episodes after `pairs`: each continues from one of the pair's two ends.
 
-    An episode starts anew if that end was terminal or reached the horizon. None means that all episodes start anew.
+    It starts anew if that end was terminal or reached the horizon. None means that all start anew.
     """
     ends = {
-        member // 2: end
+        member // 2: (end.state, end.steps)
         for (member, _), end in pairs.results.snapshots.items()
         if end.state is not None and end.steps < horizon
     }
-    size = next((len(end.state) for end in ends.values() if end.state is not None), 0)
-    if not size:
+    if not ends:
         return None
-    states, steps = np.zeros((len(pairs.signs), size)), np.full(len(pairs.signs), -1)
+    states, steps = np.zeros((len(pairs.signs), len(next(iter(ends.values()))[0]))), np.full(len(pairs.signs), -1)
     for group, end in ends.items():
-        states[group], steps[group] = end.state, end.steps
+        states[group], steps[group] = end
     return RunningEpisodes(states=states, steps=steps)
 
 

@@ -23,7 +23,7 @@ class RunningEpisodes:
     states: F64Array
     """Full physics states [G, S], including the solver's warm start."""
     steps: IntArray
-    """Control steps of each episode so far [G]; -1 if it starts anew, in which case its state is ignored."""
+    """Control steps of each episode so far [G]; -1 if it starts anew and its state is ignored."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,24 +38,18 @@ class TrainState(StrategyState):
     """Episodes that continue in the next generation, if any."""
 
 
-_OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}
-"""Type and number of axes of the arrays that are missing before the first generation."""
+_COUNTS = ("seed", "generation", "env_steps")
+_RUNNING: dict[str, np.ndarray] = {"running/states": np.zeros((0, 0)), "running/steps": np.zeros(0, np.int64)}
+"""Arrays of episodes that continue, of the right type and number of axes. They are missing before the first generation.
+"""
 _ARCHIVE = {f"archive/{field.name}": field.name for field in fields(Archive)}
-"""Arrays of the search for a way, whose first axes grow."""
-_AS_LONG = {"steps": "cells", "chosen": "cells", "nodes": "cells", "states": "cells", "positions": "parents"}
-"""Arrays of the search that are as long as another one; states may also be gone."""
-_LOWEST = {"running/steps": -1, "archive/cells": -(2**63)}
-"""Lowest value of arrays of integers that may be negative."""
+"""Arrays of the search for a way, which grow."""
 
 
 def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
     """Return `state` as arrays by name."""
-    arrays = {
-        "seed": np.int64(state.seed),
-        "generation": np.int64(state.generation),
-        "env_steps": np.int64(state.env_steps),
-        "levels": np.array([level.name for level in state.levels]),
-    }
+    arrays: dict[str, Any] = {name: np.int64(getattr(state, name)) for name in _COUNTS}
+    arrays["levels"] = [level.name for level in state.levels]
     for level in state.levels:
         arrays |= {
             f"{level.name}/theta": level.theta,
@@ -74,45 +68,20 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
 
 def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None:
     """Raise CheckpointError unless arrays with these headers can be a later state of the run begun by `start`."""
-    expected = to_arrays(start)
-    missing = expected.keys() - headers.keys()
-    unknown = headers.keys() - expected.keys() - _OPTIONAL.keys()
-    if missing or unknown:
-        faults = {"lacks": missing, "has": unknown}
+    expected = to_arrays(start) | (_RUNNING if headers.keys() & _RUNNING.keys() else {})
+    faults = {"lacks": expected.keys() - headers.keys(), "has": headers.keys() - expected.keys()}
+    if any(faults.values()):
         found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
         raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
-    if ("running/states" in headers) != ("running/steps" in headers):
-        raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
     for name, array in headers.items():
-        if name in expected:
-            fits, own = _is_like(array, expected[name], grows=name in _ARCHIVE), expected[name]
-            here = f"{own.dtype} of shape {own.shape}"
-        else:
-            dtype, axes = _OPTIONAL[name]
-            fits, here = (array.dtype, len(array.shape)) == (dtype, axes), f"{np.dtype(dtype)} with {axes} axes"
-        if not fits:
+        own = expected[name]
+        fits = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"  # texts may be longer
+        is_growing = name in _ARCHIVE or name in _RUNNING
+        if not fits or (len(array.shape) != own.ndim if is_growing else array.shape != own.shape):
             raise CheckpointError(
-                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {here}. "
-                "Put back the checkpoint of this run."
+                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
+                f"{own.shape}. Put back the checkpoint of this run."
             )
-    _check_archive(headers)
-
-
-def _check_archive(headers: Mapping[str, ArrayHeader]) -> None:
-    """Raise CheckpointError unless the arrays of a search for a way are as long as one another."""
-    for name, other in _AS_LONG.items() if "archive/cells" in headers else ():
-        length, expected = (headers[f"archive/{each}"].shape[0] for each in (name, other))
-        if length != expected and (name, length) != ("states", 0):
-            raise CheckpointError(
-                f"holds archive/{name} of length {length}, where archive/{other} has {expected}. "
-                "Put back the checkpoint of this run."
-            )
-
-
-def _is_like(array: ArrayHeader, own: np.ndarray, *, grows: bool) -> bool:
-    """Return whether `array` has the type and shape of `own`; texts may be longer, and some arrays grow."""
-    is_type = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"
-    return is_type and len(array.shape) == own.ndim and array.shape[grows:] == own.shape[grows:]
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
@@ -121,8 +90,6 @@ def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
-        if array.dtype.kind == "i" and (array < _LOWEST.get(name, 0)).any():
-            raise CheckpointError(f"holds a negative number in {name}. Put back the checkpoint of this run.")
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
@@ -133,14 +100,9 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
         archive = Archive(**{field: array if array.ndim else array.item() for field, array in found.items()})
     if "running/states" in arrays:
         running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
-    return TrainState(
-        seed=int(arrays["seed"]),
-        generation=int(arrays["generation"]),
-        env_steps=int(arrays["env_steps"]),
-        levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
-        archive=archive,
-        running=running,
-    )
+    counts = {name: int(arrays[name]) for name in _COUNTS}
+    levels = tuple(_level(arrays, str(name)) for name in arrays["levels"])
+    return TrainState(**counts, levels=levels, archive=archive, running=running)
 
 
 def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:

@@ -1,8 +1,11 @@
-"""Evolution strategies as algorithms of a run: SHES, S-ES, and the primitive alone."""
+"""Evolution strategies as algorithms of a run: SHES, S-ES, and the primitive alone.
+
+`docs/algorithm.md` explains the columns of their tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -13,21 +16,15 @@ from shes.agents.agent import AgentDesign
 from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Report
 from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
-from shes.errors import CheckpointError
-from shes.es.level import LevelParameters
-from shes.evolution.algorithm import evolve
+from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
+from shes.evolution.algorithm import GenerationReport, evolve
 from shes.evolution.checks import check_effects, check_together, warnings
-from shes.evolution.columns import columns
-from shes.evolution.designs import (
-    branch_design,
-    flat_design,
-    goal_design,
-)
-from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_SECTIONS, SHES_SECTIONS
+from shes.evolution.designs import PRIMITIVE_TRANSFER, SHES_TRANSFERS, branch_design, flat_design, goal_design
+from shes.evolution.estimates import Population
+from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_PRESETS, SES_SECTIONS, SHES_PRESETS, SHES_SECTIONS
 from shes.evolution.hyperparameters import make_hyperparameters, make_state, population, steps_per_generation
-from shes.evolution.level_transfers import PRIMITIVE_TRANSFER, SHES_TRANSFERS
-from shes.evolution.presets import SES_PRESETS, SHES_PRESETS
 from shes.evolution.state import TrainState, check_arrays, check_headers, from_arrays, to_arrays
+from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
 from shes.types import ArrayHeader
@@ -47,12 +44,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     population = staticmethod(population)
 
     def __init__(self, problem: Problem) -> None:
-        """Create the agents' design and the hyperparameters.
-
-        Raises:
-            ConfigError: The settings do not fit the environment.
-            ShapeError: The observation does not have the size of the observation spec.
-        """
+        """Create design and hyperparameters; raise ConfigError if the settings do not fit the environment."""
         super().__init__(problem, type(self).make_design(problem))
         self.hyperparameters = make_hyperparameters(problem)
 
@@ -65,11 +57,11 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Yield a report after every generation from `state` on, indefinitely."""
         table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MAX_THREADS)
         with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
-            archive = state.archive
+            before = state.archive
             for report in evolve(state, self.hyperparameters, table, backend, pool):
-                found = report.state.archive
-                news = [] if found is None or archive is None else found.news(archive)
-                archive = found
+                archive = report.state.archive
+                news = [] if archive is None or before is None else archive.news(before)
+                before = archive
                 yield Report(state=report.state, columns=columns(report), log=[*report.log, *news])
 
     def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:
@@ -78,41 +70,12 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
         """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
-        levels = [str(name) for name in np.atleast_1d(arrays["levels"])]
-        self._check_levels(levels, has_all=levels == list(self.level_names))
         check_arrays(arrays, self.start(0))
         return from_arrays(arrays)
 
     def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
         """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run."""
-        levels = [name.removesuffix("/theta") for name in headers if name.endswith("/theta")]
-        self._check_levels(levels, has_all=set(levels) <= set(self.level_names))
         check_headers(headers, self.start(0))
-        self._check_running(headers)
-
-    def _check_running(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Raise CheckpointError unless there is a state of this robot for each pair, if any episodes are running."""
-        intervals = self.hyperparameters.intervals
-        if intervals is None or "running/states" not in headers:
-            return
-        task = self.problem.make_task()
-        size = task.states(np.array([0])).shape[1]
-        task.close()
-        expected = {"running/states": (intervals.num_pairs, size), "running/steps": (intervals.num_pairs,)}
-        for name, shape in expected.items():
-            if headers[name].shape != shape:
-                raise CheckpointError(
-                    f"holds {name} of shape {headers[name].shape}, where this run has {shape}. "
-                    "Put back the checkpoint of this run."
-                )
-
-    def _check_levels(self, levels: Sequence[str], *, has_all: bool) -> None:
-        """Raise CheckpointError unless this run has all `levels` of a checkpoint."""
-        if not has_all:
-            raise CheckpointError(
-                f"has the levels {', '.join(levels)}, but a run of {self.problem.name} has "
-                f"{', '.join(self.level_names)} now. Use the version that wrote it (config.json of the run names it)."
-            )
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the mean policies."""
@@ -123,10 +86,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         archive = state.archive
         if archive is None:
             return None
-        return Explored(
-            places=np.unique(archive.positions[archive.nodes, :2].round(), axis=0),
-            way=archive.way[:, :2],
-        )
+        places = np.unique(archive.positions[archive.nodes, :2].round(), axis=0)
+        return Explored(places=places, way=archive.way[:, :2])
 
     def without_training(self, state: TrainState) -> TrainState:
         """Return `state` without running episodes and states of the search, and with reset optimizers."""
@@ -144,7 +105,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul: its episodes per generation."""
-        return self.problem.settings.evolution.episodes_per_policy
+        return self.hyperparameters.episodes_per_policy
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""
@@ -179,3 +140,60 @@ class SES(EvolutionAlgorithm):
     sections: ClassVar[Mapping[str, type[Settings]]] = SES_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = SES_PRESETS
     make_design = staticmethod(flat_design)
+
+
+def columns(report: GenerationReport) -> dict[str, Any]:
+    """Return the row of `progress.csv`. Times of `PARTS` are summed over the workers; what does not exist is NaN."""
+    episodes, *pairs = report.populations
+    results, levels, archive = episodes.results, report.state.levels, report.state.archive
+    row: dict[str, Any] = {}
+    for level, (source, i) in zip(levels, report.sources, strict=True):
+        fitness = source.results.fitness[i]
+        row |= {f"{level.name}_return_mean": float(fitness.mean()), f"{level.name}_return_max": float(fitness.max())}
+    row |= {
+        "score_mean": float(results.score.mean()),
+        "success_rate": float(results.success.mean()),
+        "episode_steps_mean": float(results.steps.mean()),
+        "terminated_rate": float(results.has_terminated.mean()),
+        "diverged_rate": float(results.has_diverged.mean()),
+        "diverged_episodes": int(results.has_diverged.sum()),
+        "episodes_per_policy": results.score.shape[1],
+        "sigma": episodes.generation.sigma,
+        "learning_rate": episodes.learning_rate,
+    }
+    if any(level.name == "primitive" for level in levels):
+        row["goals_reached_mean"] = float(results.goals_reached.mean())
+    for level, update, source in zip(levels, report.updates, report.sources, strict=True):
+        row |= {f"{level.name}_{name}": value for name, value in _of_update(level, update, *source).items()}
+    if archive is not None:
+        way_steps = archive.way_steps or float("nan")
+        row |= {"exploration_steps": archive.env_steps, "cells": len(archive.cells), "way_steps": way_steps}
+    for each in pairs:
+        row |= {
+            "branch_steps_mean": float(each.results.steps.mean()),
+            "branch_terminated_rate": float(each.results.has_terminated.mean()),
+            "primitive_sigma": each.generation.sigma,
+            "primitive_learning_rate": each.learning_rate,
+        }
+    row |= {"rollout_s": round(report.rollout_s, 4), "update_s": round(report.update_s, 4)}
+    seconds = np.sum([each.results.seconds for each in report.populations], axis=0)
+    return row | {f"{part}_s": round(float(s), 4) for part, s in zip(PARTS, seconds, strict=True)}
+
+
+def _of_update(level: LevelState, update: LevelUpdate, source: Population, i: int) -> dict[str, float]:
+    """Return the columns of the update of a level, which has the place `i` in the population `source`."""
+    signs = source.signs[:, :, i]
+    fitness = select_fitness(source.results.fitness[i], signs)
+    counts = np.unique(fitness, return_counts=True)[1]
+    starts = np.sort(source.noise_index[i][signs.any(axis=1)])
+    touches = np.diff(starts) < len(level.theta)
+    overlapping = np.concatenate([touches, [False]]) | np.concatenate([[False], touches])
+    return {
+        "noise_distinct": len(np.unique(starts)),
+        "noise_overlapping": int(overlapping.sum()),
+        "rank_ties": float(counts[counts > 1].sum() / len(fitness)) if len(fitness) else float("nan"),
+        "gradient_norm": update.gradient_norm,
+        "halves_cosine": update.halves_cosine,
+        "update_ratio": update.update_ratio,
+        "theta_norm": float(np.linalg.norm(level.theta.astype(np.float64))),
+    }

@@ -15,7 +15,7 @@ import numpy as np
 
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
-from shes.evolution.archive import Archive, Reached
+from shes.evolution.archive import Archive
 from shes.evolution.state import TrainState
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import roll_out_tasks
@@ -62,20 +62,14 @@ class WaySearch:
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
     """Return `state` after more of the search, which its environment steps include.
 
-    A search begins with a primitive that walks, which the first walkers show. It ends when a way is known that several
-    slices have not shortened.
+    The search begins if the first walkers show that the primitive walks, and ends by `PATIENCE`.
     """
     if search is None or state.archive is None or state.archive.is_over:
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
-    generation = Generation(
-        levels=LevelParameters.of_all([state.levels[-1]]),
-        sigma=0.0,
-        episodes_per_policy=1,
-        is_evaluation=False,
-        branch_steps=search.interval,
-        is_exploration=True,
-    )
+    mean = LevelParameters.of_all(state.levels[-1:])
+    generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, is_evaluation=False,
+                            branch_steps=search.interval, is_exploration=True)  # fmt: skip
     for _ in range(search.slices):
         last_step = archive.env_steps + SLICE_STEPS
         archive, speed = _walk(archive, search, generation, rng, backend)
@@ -101,13 +95,21 @@ def _walk(
         Snapshot(state=archive.states[cell] if archive.steps[cell] else None, steps=int(archive.steps[cell]))
         for cell in cells
     ]
-    walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
-    progress_m, found = 0.0, list[Reached]()
+    walkers, nodes, progress_m = np.arange(WALKERS), archive.nodes[cells], 0.0
     for angle in wander(rng, search.decisions, WALKERS):
         direction, seeds = np.stack([np.cos(angle), np.sin(angle)], axis=1), rng.integers(0, 2**63, WALKERS).tolist()
         goals = search.goal_distance * direction
         tasks = [
-            _task(walker, seeds[walker], replace(start, goals=goals[walker : walker + 1]))
+            EpisodeTask(
+                member=walker,
+                noise_index=(0,),
+                signs=((0,),),
+                slots=(0,),
+                seeds=(seeds[walker],),
+                records_statistics=False,
+                start=replace(start, goals=goals[walker : walker + 1]),
+                kept_slot=0,
+            )
             for walker, start in zip(walkers.tolist(), starts, strict=True)
         ]
         results = roll_out_tasks(tasks, generation, backend)
@@ -117,33 +119,12 @@ def _walk(
         if not len(walkers):
             break
         starts = [results.snapshots[walker, 0] for walker in walkers.tolist()]
-        states = np.stack([each.state for each in starts if each.state is not None])
+        states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
         places, positions, is_upright, is_success = search.decode(states)
         progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())
         archive, nodes = archive.grown(nodes, positions), len(archive.parents) + np.arange(len(walkers))
-        found.append(
-            Reached(
-                cells=places[is_upright],
-                states=states[is_upright],
-                steps=np.array([each.steps for each in starts])[is_upright],
-                nodes=nodes[is_upright],
-                is_success=is_success[is_upright],
-            )
-        )
-    for reached in found:
-        archive = archive.entered(reached)
+        archive = archive.entered(
+            places[is_upright], states[is_upright], steps[is_upright], nodes[is_upright],
+            is_success=is_success[is_upright],
+        )  # fmt: skip
     return archive, progress_m / (WALKERS * search.decisions * search.interval_s)
-
-
-def _task(walker: int, seed: int, start: Snapshot) -> EpisodeTask:
-    """Return the task of a walker's next decision."""
-    return EpisodeTask(
-        member=walker,
-        noise_index=(0,),
-        signs=((0,),),
-        slots=(0,),
-        seeds=(seed,),
-        records_statistics=False,
-        start=start,
-        kept_slot=0,
-    )
