@@ -60,6 +60,11 @@ class Update:
     learning_rate: float
     result: LevelUpdate
 
+    @property
+    def stays(self) -> bool:
+        """Return whether the parameters stay the same."""
+        return np.array_equal(self.before.theta, self.result.level.theta)
+
 
 @dataclass(kw_only=True)
 class Record:

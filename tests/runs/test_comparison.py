@@ -104,7 +104,11 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
         shutil.copytree(one, tmp_path / "twice" / copy)
     for first, second, message in (
         (gather / "a", one, r"one run cannot be compared with several: .*a has 2 and .*seed-1 has 1"),
-        (gather, gather / "b", r"runs below .* differ in primitive's sigma\. Give the folder of one group, such as .*a"),
+        (
+            gather,
+            gather / "b",
+            r"runs below .* differ in primitive's sigma\. Give the folder of one group, such as .*a",
+        ),
         (one, "ant-walker", "is a run of point-gather, ant-walker of ant-flagrun"),
         (tmp_path / "twice", gather / "a", "have the same seed and settings: they are one run"),
     ):
