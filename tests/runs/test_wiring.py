@@ -103,6 +103,12 @@ def episodes(record):
     return [sum(len(t.seeds) for t in each.tasks) / each.num_members for each in record.of("training")]
 
 
+def members_of_a_noise(record):
+    """Return the number of members that share a noise vector."""
+    own = record.of("training")[0]
+    return own.num_members / len({task.noise_index for task in own.tasks})
+
+
 def perturbed(record):
     """Return which levels are perturbed in every generation, by any member."""
     return [np.abs([s for t in each.tasks for s in t.signs]).max(axis=0).tolist() for each in record.of("training")]
@@ -162,7 +168,7 @@ GROUPS: dict[str, Group] = {
         "learning_rate": Row(0.45, learning_rates, [0.45], [0.01]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2, [0.005] * 2),
         "fall_price": Row(2.0, rules("fall_price"), [0, 2], [0, 0]),
-        "mirrored": Row("pair", lambda r: r.of("training")[0].num_members / len(r.of("training")[0].tasks), 1, 2),
+        "mirrored": Row("pair", members_of_a_noise, 2, 4),
         "fitness_shaping": Row(
             "pair_rank", lambda r: [type(u.rule.shaping).__name__ for u in r.updates], ["PairRanks"] * 2,
             ["CentredRanks"] * 2,
