@@ -160,7 +160,7 @@ def test_a_primitive_is_made_before_what_takes_it_wherever_the_folder_lies(tmp_p
 def test_runs_side_by_side_have_the_same_numbers_and_fail_alone(tmp_path, finished):
     bad = run("bad", **FAILING)
     taker = run("taker", primitive=bad)
-    failed, found = made(tmp_path, taker, run(), bad, is_large=False, num_workers=2)
+    failed, found = made(tmp_path, taker, run(), bad, is_large=False, num_workers=1)
     assert failed.keys() == {bad.name, taker.name}
     assert "noise_table_size is 3" in failed[bad.name]
     assert failed[taker.name] == "the run of its primitive failed"

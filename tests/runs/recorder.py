@@ -26,8 +26,6 @@ from shes.runs.evaluate import Evaluation, evaluate_state
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
 
-__all__ = ["Record", "RolledOut", "Update", "record_generations", "recording"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RolledOut:
@@ -119,14 +117,10 @@ def recording() -> Iterator[Record]:
             record.device_simulators.append(arguments)
 
     class Device:
+        xp = np
+
         def __init__(self, name: str) -> None:
-            self.xp = np
-
-        def release_memory(self) -> None:
-            """Do nothing."""
-
-        def free_bytes(self) -> None:
-            """Return None: unknown."""
+            self.release_memory = self.free_bytes = lambda: None  # unknown
 
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)

@@ -395,19 +395,6 @@ def test_the_presets_of_hiro_fit_a_small_maze(preset):
     assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
 
 
-def test_the_smoke_preset_is_small():
-    values = make_config("ant-gather", "smoke").values
-    factors = ("generations", "population_size", "episodes_per_policy", "horizon")
-    assert math.prod(values[name] for name in factors) <= 10_000
-    assert values["noise_table_size"] <= 1_000_000
-
-
-def test_overrides_win_over_the_preset():
-    config = make_config("point-gather", "paper", {"sigma": 0.5, "hidden": [8]})
-    assert (config.evolution.sigma, config.networks.hidden, config.evolution.population_size) == (0.5, (8,), 1000)
-    assert make_config("point-gather", "smoke", {"hidden": 8}).networks.hidden == (8,)
-
-
 OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
 ON_WALKER = {"primitive": "ant-walker"}
 FROZEN = r"{name} has no effect on a frozen primitive; got {value}"
