@@ -13,10 +13,10 @@ over_all = pytest.mark.parametrize("variant", VARIANTS, ids=trajectories.title)
 
 
 WHAT_TO_DO = (
-    "{name} moves otherwise than its golden trajectory says, which is of MuJoCo {version}. With the same version the task "
-    "itself has changed: if that was not meant, undo it. With another one, read its changelog and check with `make "
-    "test-all` that walls hold and scripts solve the tasks. To go on, run `python -m tests.golden.trajectories`, pin the "
-    "version in constraints.txt, and write 'changes numbers' into CHANGELOG.md."
+    "{name} moves otherwise than its golden trajectory says, which is of MuJoCo {version}. With the same version, the"
+    " task has changed: if that was not meant, undo it. With another one, read its changelog and check with `make"
+    " test-all` that walls hold and scripts solve the tasks. To go on, run `python -m tests.golden.trajectories`, pin"
+    " the version in constraints.txt, and write 'changes numbers' into CHANGELOG.md."
 )
 
 

@@ -2,7 +2,6 @@
 
 import copy
 import json
-import math
 import pickle
 from dataclasses import make_dataclass
 from typing import Annotated, ClassVar
