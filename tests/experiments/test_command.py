@@ -131,30 +131,6 @@ def test_a_stopped_experiment_goes_on_with_the_same_numbers(tmp_path, undisturbe
         assert different == []  # settings hold the path of the primitive
 
 
-@pytest.mark.slow
-@pytest.mark.extras
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
-def test_a_stopped_run_of_many_workers_leaves_none_and_goes_on(tmp_path, stop):
-    words = ("fig4", "--scale", "smoke", "--seeds", 1, "--only", "point-maze", "--workers", 2, "--out", tmp_path)
-    process, seen = start(*words), set()
-
-    def has_workers():
-        seen.update(runs.workers_of(process.pid))
-        done = list(tmp_path.glob("point-maze/*/*2/seed-1/summary.json"))
-        return (done and runs.workers_of(process.pid)) or process.poll() is not None
-
-    runs.wait_until(has_workers, "a run with workers")
-    assert process.poll() is None, process.communicate()
-    os.killpg(process.pid, stop)
-    process.communicate()
-    runs.assert_gone(process.pid, list(seen))
-    before = {path: path.read_bytes() for path in tmp_path.glob("*/*/*/*/summary.json")}
-    run(*words)
-    assert len(table(tmp_path / "runs.csv")) == 4
-    assert all(path.read_bytes() == content for path, content in before.items())
-
-
 # Whole experiments.
 
 

@@ -11,7 +11,6 @@ import pytest
 
 import shes
 from shes.backends.processes import ProcessesBackend
-from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.evolution.strategies import SHES
@@ -20,7 +19,6 @@ from shes.rollout.results import PopulationResults
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
-from shes.sim.warp_device import DEVICES
 from tests.e2e import runs
 
 
@@ -56,15 +54,6 @@ def stand_in(monkeypatch):
     monkeypatch.setattr("shes.runs.provenance.WarpDevice", Device)
     monkeypatch.setattr("shes.algorithms.problem.Problem.xp", np)
     return facts
-
-
-@pytest.mark.parametrize("name", DEVICES)
-def test_a_device_has_one_worker_in_this_process_whatever_the_default(name):
-    config = make_config("point-gather", "smoke", {"device": name, "nconmax": 9, "njmax": 7, "chunk_size": 3})
-    plan = build_algorithm(config).plan()
-    assert (plan.device, plan.nconmax, plan.njmax, plan.chunk_size) == (name, 9, 7, 3)
-    with build_backend(config, plan) as backend:
-        assert isinstance(backend, SerialBackend)
 
 
 @pytest.mark.parametrize(

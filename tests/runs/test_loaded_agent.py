@@ -41,18 +41,6 @@ def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, observations
     assert list(tmp_path.iterdir()) == []  # it needs no noise table
 
 
-def test_actions_are_scaled_to_the_unit_box_whatever_the_robots_strength():
-    agent = load("ant-gather")
-    task = build_task(agent.config, 1, is_evaluation=True)
-    task.reset(np.arange(1), [1])
-    actions = []
-    for _ in range(20):
-        actions.append(agent.act(task.observe()[0]))
-        task.step(np.arange(1), actions[-1][None] * task.control_limit)
-    assert np.shape(actions) == (20, 8)
-    assert 0.1 < np.abs(actions).max() <= 1
-
-
 def test_every_environment_is_played_as_if_it_were_alone(tiny_run, observations):
     together = load(tiny_run, num_envs=3)
     alone = [load(tiny_run) for _ in range(3)]
@@ -108,19 +96,6 @@ def test_wrong_arguments_are_refused(tiny_run):
             agent.reset(wrong)
 
 
-def test_an_agent_plays_in_gymnasiums_environments_single_and_vector(tiny_run):
-    env = gymnasium.make("shes/PointGather-v0", max_episode_steps=30)
-    vector = gymnasium.make_vec("shes/PointGather-v0", num_envs=2, max_episode_steps=30)
-    agent, agents = load(tiny_run), load(tiny_run, num_envs=2)
-    observation, observations = env.reset(seed=4)[0], vector.reset(seed=4)[0]
-    for _ in range(30):
-        observation, _, _, truncated, info = env.step(agent.act(observation))
-        observations, _, _, all_truncated, infos = vector.step(agents.act(observations))
-        np.testing.assert_allclose(observation, observations[0], atol=1e-6)
-    assert all([truncated, *all_truncated])
-    assert info["score"] == infos["score"][0]
-
-
 # Runs of one level, and what else an agent may observe.
 
 PLAYED = {
@@ -130,7 +105,6 @@ PLAYED = {
     "one-hot controller": ("point-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
     "controller and clock": ("point-push", {"clock_frequency": 0.8, "controller_interval": 6}),
 }
-QUICK = ("flat with clock", "primitive alone", "one-hot controller")
 
 
 @pytest.fixture(scope="module")
@@ -158,9 +132,7 @@ def gymnasium_env(config):
     )
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind in QUICK else [pytest.mark.slow]) for kind in PLAYED]
-)
+@pytest.mark.parametrize("kind", PLAYED)
 def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
     path = played(kind)
     expected = evaluate(path, episodes=3, num_workers=1, seed=11)
