@@ -10,9 +10,6 @@ import gymnasium
 import pytest
 
 import shes
-from shes.agents.goals import GOAL_ENCODINGS
-from shes.agents.outputs import CONTROLLER_OUTPUTS, VectorOutput
-from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment
@@ -107,22 +104,6 @@ REFUSED = [
 def test_settings_that_no_run_can_have_are_refused(settings, message):
     with pytest.raises((ConfigError, UnknownNameError), match=message):
         TrainConfig.of(**{"env": "point-gather", **settings})
-
-
-def test_names_registered_later_are_allowed_and_suggested(monkeypatch):
-    names = {}
-    for registry, setting, name, entry in (
-        (ENVIRONMENTS, "env", "point-corner", Environment(Point, own_classes.Corner)),
-        (GOAL_ENCODINGS, "goal_encoding", "own-vector", own_classes.Vector),
-        (PRIMITIVE_REWARDS, "primitive_reward", "nearness", own_classes.Nearness),
-        (CONTROLLER_OUTPUTS, "controller_output", "sideways", VectorOutput),
-    ):
-        monkeypatch.setitem(registry, name, entry)
-        names[setting] = name
-    assert TrainConfig.from_dict(TrainConfig.of(**names).to_dict()).values.items() >= names.items()
-    for name, right in names.items():
-        with pytest.raises(UnknownNameError, match=f"Did you mean '{right}'"):
-            TrainConfig.of(**{**names, name: right[:-1]})
 
 
 @pytest.mark.parametrize("env", ["point-gather", "point-flagrun", "robotics-ant-maze"])

@@ -198,7 +198,7 @@ def test_the_presets_fit_a_small_machine(fits, preset):
 
 
 def test_the_estimate_covers_what_tasks_and_results_take(fits):
-    settings = {"population_size": 20_000, "backend": "serial"}
+    settings = {"population_size": 20_000, "backend": "serial", "chunk_size": 1}
     algorithm = build_algorithm(make_config("ant-gather", "smoke", settings))
     tracemalloc.start()
     draws = draw_episodes(algorithm.start(0), algorithm.hyperparameters, 1_000_000)

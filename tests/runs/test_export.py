@@ -38,7 +38,13 @@ KINDS = {
     ),
     "egocentric points": (
         "point-fall",
-        {**EGOCENTRIC, "controller_view": "egocentric", "goal_encoding": "vector", "primitive_hidden": ()},
+        {
+            **EGOCENTRIC,
+            "controller_view": "egocentric",
+            "goal_encoding": "vector",
+            "primitive_hidden": (),
+            "minimum_goal_distance": False,
+        },
     ),
     "sectors": ("ant-gather", {"controller_view": "sectors", "controller_output": "heading_vector"}),
     "equivariant": (

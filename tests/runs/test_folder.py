@@ -102,6 +102,7 @@ def test_a_run_may_begin_beside_other_files_and_where_one_was_stopped(tmp_path):
         pass
     with pytest.raises(RunFolderError, match=r"was stopped before it began\. Begin it again by the same command"):
         shes.resume(tmp_path)
+    (tmp_path / "checkpoints" / "generation_000000.npz").write_bytes(b"PK")
     assert runs.train_tiny(tmp_path, generations=1) == tmp_path
 
 

@@ -159,7 +159,8 @@ INTERVALS = {
     "learning_rate": 0.04,
     "horizon": 70,
 }
-SCHEDULED = {"common": INTERVALS, "generations": (0, 4, 8)}
+BRIEF = {**INTERVALS, "horizon": 12, "controller_interval": 5}
+SCHEDULED = {"common": BRIEF, "generations": (0, 4, 8)}
 GROUPS: dict[str, Group] = {
     "evolution": Group({
         "population_size": Row(24, lambda r: r.of("training")[0].num_members, 24, 16),
@@ -301,7 +302,7 @@ GROUPS: dict[str, Group] = {
         "max_tilt": Row(
             60.0, batches(lambda b: b._min_cos_tilt and round(b._min_cos_tilt, 9)), [0.5, None], [None] * 2
         ),
-    }, env="ant-gather", common=INTERVALS),
+    }, env="ant-gather", common=BRIEF),
     "flagrun": Group({
         "horizon": Row(90, lambda r: r.state.running is not None, True, False),
     }, env="point-flagrun", common={"primitive_estimate": "interval"}),
