@@ -74,6 +74,7 @@ def test_a_pair_may_be_for_one_environment_alone():
     pair = Pair(("choices", "b"), ("choices", "c"), "point-maze")
     found = compared(experiment(*members, pairs=(pair,)), lambda each: {"best_score": each.seed})
     assert [env for env in envs if (env, "c", "b") in found] == ["point-maze"]
+    assert found["point-maze", "c", "b"]["p"] == 1  # of two seeds, too
 
 
 def test_without_its_base_a_variant_is_compared_with_none():

@@ -99,6 +99,10 @@ def test_a_folder_goes_on_with_more_generations_seeds_and_minutes(tmp_path, caps
     for config in record["runs"].values():
         config["run"] |= {"minutes": 1e-9, "generations": 4}
     (path / "runs.json").write_text(json.dumps(record))
+    for table in path.glob("*/progress.csv"):  # as if each run had taken an hour
+        *rows, last = table.read_text().splitlines()
+        cells = last.split(",")
+        table.write_text("\n".join([*rows, ",".join([*cells[:2], "3600.0", *cells[3:]])]) + "\n")
     assert "have ended" in refused(capsys, "resume", path)  # minutes are those of each run
     assert main(["resume", str(path), "--minutes", "10"]) == 0
     assert set(generations(path).values()) == {4}

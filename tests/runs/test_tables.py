@@ -35,7 +35,7 @@ def test_rows_after_the_checkpoint_are_dropped_however_they_end(tmp_path):
     path = tmp_path / "a.csv"
     whole = fill(path, 4)
     assert whole.startswith("generation,x\n1,0.333")
-    for more in ("", "5", "5,", "5,0.3", "5,0.3\n", "5,0.3\n6,0.1\n7"):
+    for more in ("", "5", "5,", "5,0.3", "5,0.3\n", "5,0.3\n6,0.1\n7", "1"):  # the last of 10, cut off
         path.write_text(whole + more)
         CsvTable(path, 4)
         assert path.read_text() == whole
