@@ -170,14 +170,14 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
         opened.synchronize()
         seconds = (perf_counter() - start) / size.world_steps
         task.check_buffers()
-        peaks = task.sim.peaks()
+        contacts, constraints = task.sim.peaks()
         table.add(
             integrator=integrator,
             worlds=worlds,
             step_ms=1e3 * seconds,
             env_steps_per_s=worlds / seconds,
-            contacts=peaks.contacts,
-            constraints=peaks.constraints,
+            contacts=contacts,
+            constraints=constraints,
             free_bytes=opened.free_bytes(),
         )
         del task

@@ -32,8 +32,7 @@ from statistics import harmonic_mean
 from time import perf_counter, process_time
 from typing import Any
 
-from shes.backends.backend import Backend
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import Backend, SerialBackend
 from shes.cli.bench import evolution_strategy
 from shes.errors import ConfigError
 from shes.evolution.algorithm import GenerationReport, evolve

@@ -18,7 +18,7 @@ from markdown_table import table
 import shes
 from shes.algorithms.contract import PRESETS
 from shes.cli import main
-from shes.cli.command_table import COMMANDS
+from shes.cli.program import COMMANDS
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config

@@ -41,6 +41,13 @@ _CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", flags=re.DOTALL)
 _CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
 
 
+def on_config(config: MkDocsConfig) -> None:
+    """Add the page of every environment to the navigation, after the page of all."""
+    for entry in config.nav or []:
+        if entry.get("Environments"):
+            entry["Environments"] += [f"environments/{name}.md" for name in ENVIRONMENTS]
+
+
 def on_files(files: Files, config: MkDocsConfig) -> None:
     """Add a page and a picture of every environment, and the pictures of `results/README.md`."""
     add = partial(File.generated, config)

@@ -97,7 +97,7 @@ def runs_left(experiment: Experiment, out: Path) -> list[Run]:
 def check_experiment(experiment: Experiment, out: Path, backend: str = "processes") -> None:
     """Check packages, settings and folders before hours of runs; see `run_experiment`."""
     check_scipy()
-    BACKENDS.find(backend).check_installed()
+    BACKENDS.find(backend)
     check_folder_of_runs(out)
     algorithms = {}
     for run in experiment.runs:

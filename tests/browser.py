@@ -106,10 +106,6 @@ class Browser:
             time.sleep(0.05)
         return value
 
-    def mouse(self, kind, x, y, **buttons):
-        """Send a mouse event: `Moved`, `Pressed` or `Released`."""
-        self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, **buttons)
-
 
 def find_browser():
     """Return the path of Chromium, or None."""

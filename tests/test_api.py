@@ -1,6 +1,7 @@
 """`import shes`: light, and the whole way from training to acting."""
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -53,13 +54,6 @@ def test_the_face_has_what_it_says():
 def run(tmp_path_factory):
     path = tmp_path_factory.mktemp("api") / "run"
     return shes.train("point-gather", out=path, **{**runs.TINY, "generations": 2})
-
-
-def test_train_returns_the_run(run):
-    assert (run.generation, run.config.run.env, run.config.run.seed) == (2, "point-gather", 5)
-    assert run.best.generation in (1, 2)
-    assert len(repr(run)) < 300  # without all settings
-    assert (run.path / "checkpoints" / "last.npz").is_file()
 
 
 def test_train_resume_evaluate_and_load_go_together(run, tmp_path):
@@ -228,25 +222,6 @@ def test_numbers_of_numpy_are_settings_too_and_the_callers_are_not_changed(tmp_p
     assert hidden == [4]
 
 
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        ({"env": "point-gathr"}, UnknownNameError, r"unknown environment 'point-gathr'\. Did you mean 'point-gather'"),
-        (
-            {"preset": "big"},
-            UnknownNameError,
-            r"unknown preset 'big'\. Known: hiro-paper, hiro-table1, laptop, paper, smoke",
-        ),
-        ({"sigmma": 1}, ConfigError, r"unknown setting 'sigmma'\. Did you mean 'sigma'"),
-        ({"sigma": -1}, ConfigError, r"sigma must be a positive number, got -1\. Set --sigma"),
-    ],
-)
-def test_wrong_settings_are_refused_before_there_is_a_folder(tmp_path, settings, error, message):
-    with pytest.raises(error, match=message):
-        shes.train(**{"env": "point-gather", "preset": "smoke", "out": tmp_path / "run", **settings})
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_every_error_is_a_shes_error_and_what_python_calls_it(run):
     with pytest.raises(ShesError) as refused:
         shes.train("point-gather", out=run.path)
@@ -257,11 +232,11 @@ def test_every_error_is_a_shes_error_and_what_python_calls_it(run):
 
 def test_an_unknown_mujoco_gl_is_named_with_what_to_do():
     done = subprocess.run(
-        [sys.executable, "-c", "import shes; shes.train"],
+        [*runs.COMMAND, "list"],
         env={**os.environ, "MUJOCO_GL": "nonsense"},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 1
-    assert "MUJOCO_GL: nonsense. Unset MUJOCO_GL to let SHES choose, or set it to egl, osmesa or off" in done.stderr
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert re.search(r"MUJOCO_GL=nonsense \(.*\)\. Unset MUJOCO_GL to let SHES choose, or set", done.stderr)

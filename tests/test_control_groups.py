@@ -1,12 +1,15 @@
-"""Limits of control groups, of both versions: free memory and the number of cores follow them."""
+"""Limits of control groups, of both versions, and of `ulimit`: free memory and the number of cores follow them."""
 
 import os
 import resource
+import shutil
+import subprocess
+import sys
 
 import pytest
 
 from shes import machine as this_machine
-from shes.machine import core_numbers, free_memory, num_cores
+from shes.machine import core_numbers, free_disk, free_memory, num_cores
 
 GIB = 2**30
 
@@ -77,3 +80,14 @@ def test_a_system_without_these_files_has_what_it_has(machine):
     assert free_memory() == os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     assert num_cores() == 8
     assert len(core_numbers()) >= 1
+
+
+def test_a_limit_of_the_address_space_counts():
+    code = "from shes.machine import free_memory; print(free_memory())"
+    command = ["bash", "-c", f"ulimit -v 4000000; exec {sys.executable} -c '{code}'"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert int(done.stdout) <= 4_000_000 * 1024
+
+
+def test_the_disk_of_a_missing_path_is_that_of_its_nearest_folder(tmp_path):
+    assert free_disk(tmp_path / "a" / "b" / "c") == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.05)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from shes.agents import goals, outputs, rewards
-from shes.cli import command_table
+from shes.cli import program
 from shes.runs import export
 
 ROOT = Path(__file__).parents[1]
@@ -36,7 +36,7 @@ def test_contributing_names_what_exists():
         assert "NAME" in path or "PACKAGE" in path or (ROOT / path).exists(), path
     for path in re.findall(r"`((?:algorithms|backends|cli|envs|hierarchy|training)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
-    registries = {**vars(goals), **vars(outputs), **vars(rewards), **vars(export), **vars(command_table)}
+    registries = {**vars(goals), **vars(outputs), **vars(rewards), **vars(export), **vars(program)}
     assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "LEARNERS", "PRINTS"}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from shes.cli.command_table import COMMANDS
+from shes.cli.program import COMMANDS
 from shes.runs.run_settings import known_settings
 
 ROOT = Path(__file__).parents[1]

@@ -1,14 +1,16 @@
-"""Every policy in `results/` is a run folder that every command takes; committed records are complete."""
+"""Every policy in `results/` is a run folder that can be read and acts; committed records are complete."""
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import shes
 from shes.cli import main
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENTS
+from shes.viewing.playback import Playback
 
 RESULTS = Path(__file__).parents[1] / "results"
 CHECKPOINTS = sorted(RESULTS.glob("**/*.npz"))
@@ -30,11 +32,10 @@ def test_the_record_of_every_committed_run_has_all_of_its_settings(file):
 
 
 @pytest.mark.parametrize("run", sorted({file.parents[1] for file in CHECKPOINTS}), ids=lambda run: run.name)
-def test_every_command_takes_a_committed_run(run, tmp_path, capsys):
-    assert main(["evaluate", str(run), "--episodes", "1", "--workers", "1", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["episode_steps_mean"] > 0
-    assert main(["info", str(run)]) == 0
-    assert main(["plot", str(run), "--out", str(tmp_path / "curves.png")]) == 0
-    assert main(["list", str(RESULTS)]) == 0
-    assert run.name in capsys.readouterr().out
-    assert shes.load(run).num_envs == 1
+def test_a_committed_run_is_read_and_acts(run, capsys):
+    assert main(["info", str(run), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["state"] == "finished"
+    agent = shes.load(run)
+    assert np.isfinite(agent.act(np.zeros(agent.observation_size))).all()
+    generation = RunFolder.open(run).load("best").generation
+    assert next(Playback(run, "best").play(0)).facts[0] == f"after {generation} generations"

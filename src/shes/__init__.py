@@ -11,6 +11,8 @@ agent = shes.load(run.path)
 from __future__ import annotations
 
 import importlib
+import os
+import traceback
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -35,66 +37,48 @@ if TYPE_CHECKING:
     from shes.viewing.report import report
 
 __all__ = [
-    "Agent",
-    "Evaluation",
-    "Run",
-    "StopTraining",
-    "__version__",
-    "es",
-    "evaluate",
-    "export",
-    "load",
-    "plot",
-    "register_algorithm",
-    "register_controller_output",
-    "register_environment",
-    "register_external",
-    "register_goal_encoding",
-    "register_primitive_reward",
-    "render",
-    "report",
-    "resume",
-    "train",
-]
-
-# Imported on first access: worker processes import this package, too, but need none of these.
+    "Agent", "Evaluation", "Run", "StopTraining", "__version__", "es", "evaluate", "export", "load", "plot",
+    "register_algorithm", "register_controller_output", "register_environment", "register_external",
+    "register_goal_encoding", "register_primitive_reward", "render", "report", "resume", "train",
+]  # fmt: skip
 _HOMES = {
-    "Agent": "shes.runs.loaded_agent",
-    "Evaluation": "shes.runs.evaluate",
-    "Run": "shes.runs.train",
-    "StopTraining": "shes.runs.listeners",
-    "evaluate": "shes.runs.evaluate",
-    "export": "shes.runs.export",
-    "load": "shes.runs.loaded_agent",
-    "plot": "shes.viewing.plot",
-    "register_algorithm": "shes.runs.named_algorithms",
-    "register_controller_output": "shes.agents.outputs",
-    "register_environment": "shes.envs.named_environments",
-    "register_external": "shes.envs.named_environments",
-    "register_goal_encoding": "shes.agents.goals",
-    "register_primitive_reward": "shes.agents.rewards",
-    "render": "shes.viewing.render",
-    "report": "shes.viewing.report",
-    "resume": "shes.runs.train",
-    "train": "shes.runs.train",
+    "agents.goals": ("register_goal_encoding",),
+    "agents.outputs": ("register_controller_output",),
+    "agents.rewards": ("register_primitive_reward",),
+    "envs.named_environments": ("register_environment", "register_external"),
+    "runs.evaluate": ("Evaluation", "evaluate"),
+    "runs.export": ("export",),
+    "runs.listeners": ("StopTraining",),
+    "runs.loaded_agent": ("Agent", "load"),
+    "runs.named_algorithms": ("register_algorithm",),
+    "runs.train": ("Run", "resume", "train"),
+    "viewing.plot": ("plot",),
+    "viewing.render": ("render",),
+    "viewing.report": ("report",),
 }
-
+"""Names by module. They are imported on first access: worker processes import this package, too, but need none."""
 
 register_known()  # entry points are strings: MuJoCo is imported when the first environment is made
 
 
 def import_module(name: str) -> ModuleType:
-    """Import a module of this package.
-
-    Raises:
-        ConfigError: The import of MuJoCo fails because of the value of MUJOCO_GL.
-    """
+    """Import a module of this package; raise ConfigError if MuJoCo cannot be imported with the value of MUJOCO_GL."""
     try:
         return importlib.import_module(name)
-    except RuntimeError as error:
-        if "MUJOCO_GL" not in str(error):
+    except Exception as error:
+        asked = os.environ.get("MUJOCO_GL")
+        if not asked or not _is_of_opengl(error):
             raise
-        raise ConfigError(f"{error}. Unset MUJOCO_GL to let SHES choose, or set it to egl, osmesa or off.") from error
+        raise ConfigError(
+            f"MuJoCo cannot be imported with MUJOCO_GL={asked} ({error}). Unset MUJOCO_GL to let SHES choose, or set "
+            "it to egl, osmesa or off."
+        ) from error
+
+
+def _is_of_opengl(error: Exception) -> bool:
+    frames = traceback.walk_tb(error.__traceback__)
+    packages = {str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames}
+    return "MUJOCO_GL" in str(error) or "OpenGL" in packages
 
 
 def __getattr__(name: str) -> Any:
@@ -102,8 +86,9 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("shes")
     if name == "es":
         return import_module("shes.es")
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"shes.{module}"), name)
     raise AttributeError(f"module 'shes' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 

@@ -10,22 +10,6 @@ import sysconfig
 import traceback
 from collections.abc import Iterable
 
-__all__ = [
-    "CheckpointError",
-    "ConfigError",
-    "DivergenceError",
-    "MissingExtraError",
-    "PolicyError",
-    "RunFolderError",
-    "ShapeError",
-    "ShesError",
-    "StorageError",
-    "UnknownNameError",
-    "WorkerError",
-    "nearest_first",
-    "place_of",
-]
-
 
 class ShesError(Exception):
     """Base of all exceptions of SHES. `exit_code` is the exit code of the command line."""
@@ -89,8 +73,6 @@ class WorkerError(ShesError, RuntimeError):
     """A worker raised an exception, or workers keep dying."""
 
     exit_code = 1
-    task: int | None = None
-    """Number of the task at which workers keep dying; None if it is not that of one task."""
 
 
 def place_of(error: BaseException, *, outside: Iterable[str]) -> str:

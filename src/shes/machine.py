@@ -12,31 +12,11 @@ from pathlib import Path
 
 _OWN_GROUPS = Path("/proc/self/cgroup")
 _ROOT = Path("/sys/fs/cgroup")
+_MEMINFO, _STATM = Path("/proc/meminfo"), Path("/proc/self/statm")
 
 
-def memory_limits() -> list[int]:
-    """Return the memory limit in bytes of each control group that has one."""
-    limits: list[int] = []
-    for version, folder in _groups("memory"):
-        with suppress(OSError, ValueError):  # no such file, or "max"
-            limits.append(int((folder / ("memory.limit_in_bytes" if version == 1 else "memory.max")).read_text()))
-    return limits
-
-
-def cpu_quotas() -> list[float]:
-    """Return the number of CPUs that each control group with a quota may use on average."""
-    quotas: list[float] = []
-    for version, folder in _groups("cpu"):
-        names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if version == 1 else ("cpu.max",)
-        with suppress(OSError, ValueError):  # no such file, or "max"
-            quota, period = map(int, " ".join((folder / name).read_text() for name in names).split())
-            if quota > 0:  # -1 is none
-                quotas.append(quota / period)
-    return quotas
-
-
-def _groups(controller: str) -> Iterator[tuple[int, Path]]:
-    """Yield the version and the folder of this process's control groups that may limit `controller`."""
+def _limits(controller: str, *names: str, newest: str) -> Iterator[list[int]]:
+    """Yield the numbers in the files of each control group that limits `controller`: `names`, or `newest` alone."""
     lines: list[str] = []
     with suppress(OSError):  # Linux alone has it
         lines = _OWN_GROUPS.read_text().splitlines()
@@ -47,11 +27,10 @@ def _groups(controller: str) -> Iterator[tuple[int, Path]]:
         for root in (_ROOT / controllers, _ROOT / controller) if controllers else (_ROOT, _ROOT / "unified"):
             folder = root / own.strip("/")
             for each in (folder, *folder.parents):  # a container may see its own group as the root
-                if each.is_relative_to(root):
-                    yield (1 if controllers else 2), each
-
-
-__all__ = ["core_numbers", "num_cores", "on_one_core"]
+                with suppress(OSError, ValueError):  # no such file, or "max"
+                    if each.is_relative_to(root):
+                        files = names if controllers else (newest,)
+                        yield [int(word) for name in files for word in (each / name).read_text().split()]
 
 
 def num_cores() -> int:
@@ -60,7 +39,8 @@ def num_cores() -> int:
     They are those of its CPU affinity where the system has one, else all; fewer if a control group (a container, a
     cluster's job) has a quota of CPU time, rounded up.
     """
-    return max(1, min([len(core_numbers()), *map(ceil, cpu_quotas())]))
+    quotas = _limits("cpu", "cpu.cfs_quota_us", "cpu.cfs_period_us", newest="cpu.max")
+    return max(1, min([len(core_numbers()), *(ceil(quota / period) for quota, period in quotas if quota > 0)]))
 
 
 def core_numbers() -> list[int]:
@@ -82,11 +62,6 @@ def on_one_core(core: int | None = None) -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-__all__ = ["free_disk", "free_memory", "resident_memory"]
-
-_MEMINFO, _STATM = Path("/proc/meminfo"), Path("/proc/self/statm")
-
-
 def free_memory() -> int:
     """Return the bytes of memory that this process may still use, without swap.
 
@@ -98,7 +73,10 @@ def free_memory() -> int:
         line = next(line for line in _MEMINFO.read_text().splitlines() if line.startswith("MemAvailable:"))
         available = 1024 * int(line.split()[1])
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return min([available, *memory_limits(), *([] if limit == resource.RLIM_INFINITY else [limit])])
+    own = [] if limit == resource.RLIM_INFINITY else [limit]
+    return min(
+        [available, *own, *(size for (size,) in _limits("memory", "memory.limit_in_bytes", newest="memory.max"))]
+    )
 
 
 def resident_memory() -> int:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from shes.errors import ConfigError
 from shes.registry import Registry, check_class, full_name
-from shes.settings import Choices, Needs, Setting, Settings, Unasked, setting_fields
+from shes.settings import Choices, Needs, Setting, Settings, Unasked, registered, setting_fields
 
 T = TypeVar("T")
 
@@ -67,17 +67,14 @@ def with_options(sections: Mapping[str, type[Settings]]) -> dict[str, dict[str, 
     """Return the settings of each section by name: its fields, and the options of classes that it can choose.
 
     An option belongs to the section of the first setting that selects its class. It needs one of the choices that have
-    it.
-
-    Raises:
-        ConfigError: An option has the name of another setting.
+    it. Raise ConfigError if it has the name of another setting.
     """
     found = {
         section: {name: each for name, each in setting_fields(cls).items() if not each.has(Unasked)}
         for section, cls in sections.items()
     }
     homes = {name: section for section, own in found.items() for name in own}
-    options: dict[str, _Option] = {}
+    firsts: dict[str, _Option] = {}
     needs: dict[str, dict[str, tuple[str, ...]]] = {}
     for each in list(_options_in(found)):
         name = each.setting.name
@@ -86,10 +83,10 @@ def with_options(sections: Mapping[str, type[Settings]]) -> dict[str, dict[str, 
                 f"{name!r} is an option of {each.registry.kind} {each.choice!r}, but already a setting of section "
                 f"{homes[name]!r}. Choose another name for the option."
             )
-        options.setdefault(name, each).check_same(each)
+        _check_same(firsts.setdefault(name, each), each)
         choices = needs.setdefault(name, {})
         choices[each.chooser] = (*choices.get(each.chooser, ()), each.choice)
-    for name, each in options.items():
+    for name, each in firsts.items():
         notes = (*each.setting.notes, *(Needs(*need) for need in needs[name].items()))
         found[each.section][name] = replace(each.setting, notes=notes)
     return found
@@ -100,19 +97,20 @@ class _Option(NamedTuple):
 
     section: str
     chooser: str
-    registry: Registry[Any]
+    registry: Any
     choice: str
     setting: Setting
 
-    def check_same(self, other: _Option) -> None:
-        """Raise ConfigError if `other`, of the same name, is a different option."""
-        mine, theirs = ((each.registry.kind, each.setting.hint, each.setting.default) for each in (self, other))
-        if mine != theirs:
-            raise ConfigError(
-                f"{self.setting.name!r} is an option of {self.registry.kind} {self.choice!r} and a different one of "
-                f"{other.registry.kind} {other.choice!r}. Choose another name for one of them. Only classes of one "
-                "kind may share an option, of the same type, default and range."
-            )
+
+def _check_same(one: _Option, other: _Option) -> None:
+    """Raise ConfigError if `other`, of the same name, is a different option."""
+    first, second = ((each.registry.kind, each.setting.hint, each.setting.default) for each in (one, other))
+    if first != second:
+        raise ConfigError(
+            f"{one.setting.name!r} is an option of {one.registry.kind} {one.choice!r} and a different one of "
+            f"{other.registry.kind} {other.choice!r}. Choose another name for one of them. Only classes of one kind "
+            "may share an option, of the same type, default and range."
+        )
 
 
 def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Option]:
@@ -120,9 +118,6 @@ def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Opti
     for section, own in settings.items():
         for chooser in own.values():
             for note in chooser.all_of(Choices):
-                if not isinstance(note.names, Registry):
-                    continue
-                for choice, cls in note.names.items():
-                    for option in options_of(cls).values():
-                        if not option.has(Unasked):
-                            yield _Option(section, chooser.name, note.names, choice, option)
+                for choice, cls in registered(note.names).items():
+                    asked = (each for each in options_of(cls).values() if not each.has(Unasked))
+                    yield from (_Option(section, chooser.name, note.names, choice, each) for each in asked)

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Mapping
 from types import FunctionType
 from typing import TypeVar
 
 from shes.errors import ConfigError, UnknownNameError
-
-__all__ = ["Registry", "check_class", "check_name_form", "full_name", "import_registering"]
 
 T = TypeVar("T")
 
 _NAME = re.compile(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*")
 
 
-class Registry(MutableMapping[str, T]):
+class Registry(dict[str, T]):
     """Entries of one kind by name. `registry[name] = entry` is `registry.register(name, entry)`."""
 
     def __init__(self, kind: str, entries: Mapping[str, T], *, fix: str, check: Callable[[str, T], None]) -> None:
@@ -30,11 +27,10 @@ class Registry(MutableMapping[str, T]):
             fix: Advice for an unknown name.
             check: Raises ConfigError for an invalid entry, given `kind` and the entry.
         """
-        self.kind = kind
-        self._fix = fix
-        self._check = check
-        self._entries: dict[str, T] = {}
-        self.update(entries)
+        super().__init__()
+        self.kind, self._fix, self._check = kind, fix, check
+        for name, entry in entries.items():
+            self.register(name, entry)
 
     def register(self, name: str, entry: T) -> None:
         """Add `entry` as `name`; raise ConfigError if it is invalid, or the name is malformed or already taken.
@@ -44,36 +40,17 @@ class Registry(MutableMapping[str, T]):
         self._check(self.kind, entry)
         check_name_form(self.kind, name)
         # Compared by full name, because running a notebook cell again, or a reload, redefines the same class.
-        if name in self._entries and full_name(self._entries[name]) != full_name(entry):
-            raise ConfigError(f"{self.kind} {name!r} is {full_name(self._entries[name])} already. Choose another name.")
-        self._entries[name] = entry
+        if name in self and full_name(self[name]) != full_name(entry):
+            raise ConfigError(f"{self.kind} {name!r} is {full_name(self[name])} already. Choose another name.")
+        super().__setitem__(name, entry)
 
-    def find(self, name: str, *, kind: str = "", fix: str = "") -> T:
-        """Return the entry called `name`, or raise UnknownNameError, which lists the known names, the nearest first.
+    __setitem__ = register
 
-        `kind` and `fix` replace those of the registry in the message.
-        """
-        if name not in self._entries:
-            raise UnknownNameError(kind or self.kind, str(name), self._entries, fix or self._fix)
-        return self._entries[name]
-
-    def __getitem__(self, name: str) -> T:
-        return self._entries[name]
-
-    def __setitem__(self, name: str, entry: T) -> None:
-        self.register(name, entry)
-
-    def __delitem__(self, name: str) -> None:
-        del self._entries[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._entries)
-
-    def __len__(self) -> int:
-        return len(self._entries)
-
-    def __repr__(self) -> str:
-        return f"Registry({self.kind!r}, {self._entries!r})"
+    def find(self, name: str) -> T:
+        """Return the entry called `name`, or raise UnknownNameError, which lists the known names, the nearest first."""
+        if name not in self:
+            raise UnknownNameError(self.kind, str(name), self, self._fix)
+        return self[name]
 
 
 def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()) -> None:
@@ -97,10 +74,9 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
     try:
         inspect.signature(cls).bind(*[None] * num_arguments, **dict.fromkeys(keywords))
     except TypeError as error:
-        given = [f"{num_arguments or 'no'} argument{'s' * (num_arguments != 1)}"]
+        given = [f"{num_arguments or 'no'} argument{'s' * (num_arguments != 1)}", *keywords]
         raise ConfigError(
-            f"{kind} {full_name(cls)} cannot be constructed with {' and '.join([*given, *keywords])}: {error}. "
-            "Change its __init__."
+            f"{kind} {full_name(cls)} cannot be constructed with {' and '.join(given)}: {error}. Change its __init__."
         ) from error
 
 
@@ -118,23 +94,3 @@ def full_name(entry: object) -> str:
     if isinstance(entry, tuple):
         return " with ".join(full_name(part) for part in entry)
     return f"{entry.__module__}.{entry.__qualname__}" if isinstance(entry, type | FunctionType) else repr(entry)
-
-
-def import_registering(name: str | None) -> None:
-    """Import a module of the user; raise ConfigError if it has no name, is not found, or fails."""
-    if not name:
-        raise ConfigError("--import needs a value: --import MODULE. See `shes --help`.")
-    try:
-        importlib.import_module(name)
-    except (Exception, SystemExit) as error:
-        problem = (
-            f"the module failed: {type(error).__name__}: {str(error).rstrip('.')}. "
-            "Correct it; --debug shows where it failed."
-        )
-        if isinstance(error, ModuleNotFoundError) and error.name and f"{name}.".startswith(f"{error.name}."):
-            file = f" Give a module's name, not a file: --import {name[:-3]}." if name.endswith(".py") else ""
-            problem = (
-                f"there is no module {error.name!r}. Is it installed or on PYTHONPATH?{file} "
-                "For a module in this folder: PYTHONPATH=. shes ..."
-            )
-        raise ConfigError(f"--import {name}: {problem}") from error

@@ -49,6 +49,7 @@ __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "
 __all__ += ["Shown", "Unasked", "described", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
 
 NoteT = TypeVar("NoteT")
+SENTENCE_END = r"\.(?:\s|$)"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +78,7 @@ class Setting:
     def text(self) -> str:
         """The docstring under the field, on one line, and what each of the choices is."""
         choices = "; ".join(
-            f"{name}: {_summary(cls)}"
+            f"{name}: {re.split(SENTENCE_END, inspect.getdoc(cls) or '', maxsplit=1)[0]}"
             for note in self.all_of(Choices)
             if note.is_described
             for name, cls in registered(note.names).items()
@@ -120,30 +121,23 @@ class Setting:
     def checked(self, value: Any) -> Any:
         """Return `value`, with NumPy types and lists converted to built-in types and tuples.
 
-        For a tuple of any length, a single number stands for a tuple of one.
-
-        Raises:
-            ConfigError: The value is not allowed.
-            UnknownNameError: The value is an unknown name.
+        For a tuple of any length, a single number stands for a tuple of one. Raise ConfigError if the value is not
+        allowed, and UnknownNameError if it is an unknown name.
         """
+        if value is None and self.is_optional:
+            return None
         plain = _plain(value)
-        return None if plain is None and self.is_optional else self._checked(plain)
-
-    def _checked(self, value: Any) -> Any:
-        """Return `value`, which is plain and not None by choice."""
         if known := next(self.all_of(Choices), None):
-            return self._checked_name(value, known)
+            return self._checked_name(plain, known)
         if self.kind is not tuple:
-            if not self._is_item(value):
-                raise out_of_range(self.name, value, self.allowed, self.flag)
-            return float(value) if self.item is float else value
-        if self.length is None and isinstance(value, int | float):
-            value = (value,)
-        if not isinstance(value, tuple) or self.length not in (None, len(value)) or not (value or self.can_be_empty):
-            raise out_of_range(self.name, value, self.allowed, self.flag)
-        if not all(map(self._is_item, value)):
-            raise out_of_range(self.name, value, self.allowed, self.flag)
-        return tuple(map(float, value)) if self.item is float else value
+            if not self._is_item(plain):
+                raise out_of_range(self.name, plain, self.allowed, self.flag)
+            return float(plain) if self.item is float else plain
+        items = (plain,) if self.length is None and isinstance(plain, int | float) else plain
+        has_length = isinstance(items, tuple) and self.length in (None, len(items))
+        if not has_length or not (items or self.can_be_empty) or not all(map(self._is_item, items)):
+            raise out_of_range(self.name, items, self.allowed, self.flag)
+        return tuple(map(float, items)) if self.item is float else items
 
     def _checked_name(self, value: Any, known: Choices) -> str:
         if not isinstance(value, str):
@@ -197,11 +191,7 @@ class Settings:
         self.check()
 
     def check(self) -> None:
-        """Check combinations of values; a subclass may override it.
-
-        Raises:
-            ConfigError: Two values do not go together.
-        """
+        """Raise ConfigError if values do not go together; a subclass may override it."""
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
@@ -211,11 +201,7 @@ class Settings:
 
 @cache
 def setting_fields(cls: type) -> dict[str, Setting]:
-    """Return the settings of a class by name, those of its base classes first.
-
-    Raises:
-        ConfigError: The type of a field is not supported.
-    """
+    """Return the settings of a class by name, those of its base classes first; raise ConfigError for an odd type."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
     for field in fields(cls):
@@ -247,8 +233,8 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
         kind, notes = tuple, notes + inner
     if get_origin(kind) is Literal and all(isinstance(name, str) for name in get_args(kind)):
         kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
-    described = {"kind": kind, "item": item, "length": length, "is_optional": is_optional}
-    return Setting(name=name, hint=hint, default=default, notes=notes, owner=owner, **described)
+    types = {"hint": hint, "kind": kind, "item": item, "length": length, "is_optional": is_optional}
+    return Setting(name=name, default=default, notes=notes, owner=owner, **types)
 
 
 def registered(names: Collection[str]) -> Mapping[str, Any]:
@@ -273,11 +259,6 @@ def _plain(value: Any) -> Any:
     return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
 
 
-def _summary(cls: type) -> str:
-    """Return the first sentence of a class's docstring, without its period."""
-    return re.split(r"\.(?:\s|$)", inspect.getdoc(cls) or "", maxsplit=1)[0]
-
-
 @cache
 def field_texts(cls: type) -> dict[str, str]:
     """Return the docstrings under the fields of a dataclass and its base classes, which Python discards."""
@@ -285,17 +266,13 @@ def field_texts(cls: type) -> dict[str, str]:
     for ancestor in reversed(cls.__mro__[:-1]):
         try:
             file = _syntax_tree(inspect.getsourcefile(ancestor) or "")
-        except (OSError, TypeError, SyntaxError):
-            continue  # a class defined in a console has no source
+        except (OSError, TypeError, SyntaxError):  # a class defined in a console has no source
+            continue
         own = (each for each in ast.walk(file) if isinstance(each, ast.ClassDef) and each.name == ancestor.__name__)
         for field, below in (pair for each in own for pair in pairwise(each.body)):
             text = below.value if isinstance(below, ast.Expr) else None
-            if (
-                isinstance(field, ast.AnnAssign)
-                and isinstance(field.target, ast.Name)
-                and isinstance(text, ast.Constant)
-            ):
-                texts[field.target.id] = " ".join(str(text.value).split())
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Constant):
+                texts[ast.unparse(field.target)] = " ".join(str(text.value).split())
     return texts
 
 

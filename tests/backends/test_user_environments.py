@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import textwrap
 import traceback
@@ -52,7 +51,7 @@ for fault in ("", "key", "assert", "close", "heavy"):
     gymnasium.register(f"User{fault.title()}-v0", Env, max_episode_steps=5, kwargs={"fault": fault})
 """
 SETTINGS = {"algorithm": "es", "preset": "smoke", "generations": 2, "hidden": (4,)}
-SPREADS = {"serial": {"backend": "serial"}, "processes": {"num_workers": 2}}
+SERIAL, PROCESSES = {"backend": "serial"}, {"num_workers": 2}
 
 
 @pytest.fixture
@@ -72,57 +71,44 @@ def diary(tmp_path, monkeypatch):
     return read
 
 
-def line_of(tmp_path, mark):
-    """Return file and line of a comment in the module."""
-    lines = MODULE.splitlines()
-    return f"{tmp_path / 'users_module.py'}:{1 + next(i for i, line in enumerate(lines) if line.endswith(f'# {mark}'))}"
-
-
-@pytest.mark.parametrize("fault", ["", "Close"])
-@pytest.mark.parametrize("spread", SPREADS)
-def test_every_environment_is_closed_and_there_are_few(diary, tmp_path, spread, fault):
-    settings = {**SETTINGS, **SPREADS[spread], "population_size": 200}
-    shes.train(f"gymnasium:User{fault}-v0", out=tmp_path / "run", **settings)
+@pytest.mark.parametrize("spread", [SERIAL, PROCESSES])
+def test_every_environment_is_closed_and_there_are_few(diary, tmp_path, spread):
+    shes.train("gymnasium:UserClose-v0", out=tmp_path / "run", **SETTINGS, **spread, population_size=200)
     made, closed = diary()
-    assert len(closed) == len(made)
+    assert len(closed) == len(made)  # though each raises when it is closed
     pids = [pid for pid, _ in made]
     assert max(pids.count(pid) for pid in set(pids)) <= 48  # those of training, evaluation and inspection
 
 
-@pytest.mark.parametrize(("fault", "kind"), [("key", "KeyError: 'missing'"), ("assert", "AssertionError")])
-@pytest.mark.parametrize("spread", SPREADS)
+@pytest.mark.parametrize(
+    ("fault", "kind", "spread"), [("Key", "KeyError: 'missing'", PROCESSES), ("Assert", "AssertionError", SERIAL)]
+)
 def test_an_error_names_the_line_of_the_users_code(diary, tmp_path, spread, fault, kind):
-    name = f"gymnasium:User{fault.title()}-v0"
+    name = f"gymnasium:User{fault}-v0"
     with pytest.raises(ConfigError) as raised:
-        shes.train(name, out=tmp_path / "run", **SETTINGS, **SPREADS[spread])
-    place = line_of(tmp_path, fault.upper())
-    assert str(raised.value) == f"{name} cannot step: {kind} ({place})"
-    file, _, line = place.partition(":")
+        shes.train(name, out=tmp_path / "run", **SETTINGS, **spread)
+    line = 1 + next(i for i, text in enumerate(MODULE.splitlines()) if text.endswith(f"# {fault.upper()}"))
+    file = tmp_path / "users_module.py"
+    assert str(raised.value) == f"{name} cannot step: {kind} ({file}:{line})"
     told = "".join(traceback.format_exception(raised.value))
-    assert f'File "{file}", line {line}, in step' in told
-    assert any(f'File "{file}", line {line}, in step' in each for each in runs.log_lines(tmp_path / "run"))
+    for text in (told, (tmp_path / "run" / "log.txt").read_text()):
+        assert f'File "{file}", line {line}, in step' in text
     made, closed = diary()
     assert len(closed) == len(made)
 
 
 def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
     monkeypatch.setattr("shes.runs.device.free_memory", lambda: 10**9)
-    assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, backend="serial").generation == 2
+    assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, **SERIAL).generation == 2
     with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 1\.0 GB are free"):
-        shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, backend="serial")
+        shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, **SERIAL)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_to_the_run_closes_environments(diary, tmp_path, number):
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.extras)])
+def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch, number):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})
-    process = subprocess.Popen(
-        [*runs.COMMAND, "train", "gymnasium:User-v0", "--import", "users_module", *words],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    process = runs.start("train", "gymnasium:User-v0", "--import", "users_module", *words)
     runs.wait_for_generation(process, tmp_path / "run", 2)
     os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
     assert runs.finish(process)[0] == 130

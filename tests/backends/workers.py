@@ -34,9 +34,8 @@ class Worker:
         self.state = state
 
     def run(self, tasks, share):
-        while taken := tasks.take(min(self.at_once, share)):
+        while taken := tasks.take(most := min(self.at_once, share), most):
             for number, task in reversed(taken):
-                self.tasks = tasks
                 yield number, self.do(*task)
 
     def close(self):
@@ -55,14 +54,6 @@ class Worker:
         """Take some time; return the process and the state."""
         time.sleep(seconds)
         return os.getpid(), self.state
-
-    def step(self, seconds):
-        """Take some time in small steps, and show progress after each."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            time.sleep(0.01)
-            self.tasks.note_progress()
-        return os.getpid()
 
     def node(self, seconds):
         """Take some time; return the name of the node of a test's cluster, and the state."""
@@ -105,9 +96,6 @@ class Worker:
     def import_path(self, _):
         return sys.path
 
-    def divide(self, number):
-        return 1 / number
-
     def closed_pipe(self, _):
         raise BrokenPipeError("of its own")
 
@@ -125,17 +113,6 @@ class Worker:
             os.kill(os.getpid(), signal.SIGKILL)
         return self.state
 
-    def die(self, diary):
-        """Kill this process every time, and leave a line in `diary`."""
-        with Path(diary).open("a") as file:
-            file.write(f"{os.getpid()}\n")
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-def start_failing():
-    """Stand for a worker that cannot be made."""
-    raise ValueError("no such model")
-
 
 def start_refusing():
     """Stand for a worker that refuses its settings."""
@@ -148,5 +125,5 @@ def start_dying():
 
 
 def start_killed():
-    """Stand for a worker whose process is ended by a signal before it can do anything."""
-    os.kill(os.getpid(), signal.SIGABRT)
+    """Stand for a worker whose process is killed before it can do anything."""
+    os.kill(os.getpid(), signal.SIGKILL)

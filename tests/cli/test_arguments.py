@@ -5,7 +5,7 @@ import re
 import pytest
 
 from shes.cli import main
-from shes.cli.command_table import find_command
+from shes.cli.program import find_command
 from shes.errors import ConfigError, UnknownNameError
 
 GIVEN = {"compare": ("no-run", "no-other")}

@@ -1,67 +1,62 @@
-"""The demo's drawing. Its training is that of `shes train`."""
+"""The demo, with a tiny run instead of minutes of training."""
 
-import io
 import subprocess
 import sys
+from pathlib import Path
 
-import numpy as np
 import pytest
-from rich.console import Console
 
+import shes
 from shes.cli import demo
-from shes.cli.demo import _draw, _show
-from shes.drawing import make_drawer
-from shes.runs.evaluate import evaluation_seeds
-from shes.streams import Purpose
-from shes.viewing.playback import Playback
+from shes.runs.folder import RunFolder
+from tests.e2e import runs
+
+TINY = demo.Stage("tiny", "point-gather", "score", "scores", {"camera": "top", "steps": 2}, {**runs.TINY, "seed": 3})
 
 
 @pytest.fixture(autouse=True)
-def flat(monkeypatch):
-    """Draw without OpenGL, which is fast and works on every machine."""
+def place(tmp_path, monkeypatch):
+    """A working directory of its own, and pictures without OpenGL, which are fast and work on every machine."""
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MUJOCO_GL", "off")
-    make_drawer.find_opengl.cache_clear()
-    yield
-    make_drawer.find_opengl.cache_clear()
 
 
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_both_agents_are_drawn_in_the_same_episode_with_progress(monkeypatch, run_copy, tmp_path, is_terminal):
-    seeds, captions, out = [], [], io.StringIO()
-    monkeypatch.setattr("shes.viewing.render.captioned", lambda view, parts: captions.append(parts[0]) or view)
-    monkeypatch.setattr(Playback, "play", lambda self, seed, play=Playback.play: seeds.append(seed) or play(self, seed))
-    console = Console(file=out, force_terminal=is_terminal, width=200)
-    _draw(console, run_copy, tmp_path / "walking.mp4", episode=2, camera="top", steps=2)
-    assert seeds == [evaluation_seeds(demo._SEED, 0, 3, Purpose.FRESH_EPISODES)[2]] * 2
-    last = [facts for facts in captions if "time is up" in facts]
-    assert {(facts[0], "score" in facts[2]) for facts in last} == {("untrained", True), ("after 1 generation", True)}
-    assert ("100%" in out.getvalue()) == is_terminal
-    assert f"walking: {tmp_path / 'walking.mp4'}   curves: {run_copy / 'curves.png'}" in out.getvalue()
-    assert (tmp_path / "walking.mp4").stat().st_size > 0
+def test_runs_are_trained_compared_and_drawn(tmp_path, capsys, monkeypatch):
+    drawn, render = [], shes.render
+    monkeypatch.setattr(shes, "render", lambda *_, **given: drawn.append(given) or render(*_, **given))
+    walking = TINY._replace(name="walking", env="point-flagrun", column="returns", result="return")
+    assert demo.play("what happens", [walking, TINY]) == 0
+    out = capsys.readouterr().out
+    (folder,) = Path("runs").iterdir()
+    for stage, given in zip((walking, TINY), drawn, strict=True):
+        run = folder / stage.name
+        before, after = (
+            getattr(shes.evaluate(run, episodes=50, checkpoint=name, seed=0, num_workers=1), stage.column)
+            for name in given["checkpoints"]
+        )
+        means = f"{before.mean():.2f} before training, {after.mean():.2f} after."
+        assert f"Mean {stage.result}, 50 fresh episodes: {means}" in out
+        assert (given["episode"], given["seed"]) == (abs(after - after.mean()).argmin(), 0)  # the typical one
+        assert f"{stage.name}: {run.with_suffix('.mp4')}   curves: {run / 'curves.png'}" in out
+        assert run.with_suffix(".mp4").stat().st_size > 0
+    assert RunFolder.open(folder / "tiny").read_config().transfer.primitive.endswith("walking")
+    assert f"resume {folder / 'tiny'} --generations 200" in out
 
 
-def test_the_video_is_of_the_episode_nearest_to_the_printed_mean(monkeypatch, tmp_path):
-    found = {"0": np.zeros(4), "best": np.array([9.0, 0.0, 6.0, 4.0])}
-    monkeypatch.setattr(demo.shes, "evaluate", lambda *_, checkpoint, **__: found[checkpoint])
-    out = io.StringIO()
-    assert _show(Console(file=out, width=200), tmp_path, "score", lambda results: results) == 3
-    assert "0.00 before training, 4.75 after" in out.getvalue()
-
-
-@pytest.mark.parametrize(("is_begun", "text"), [(False, "Stopped before the first run."), (True, "are in runs/demo-")])
-def test_ctrl_c_names_the_folder_of_the_runs_if_there_is_one(tmp_path, monkeypatch, capsys, is_begun, text):
-    def interrupted(console, folder):
-        if is_begun:
-            folder.mkdir(parents=True)
+def test_ctrl_c_names_the_folder_of_the_runs(monkeypatch, capsys):
+    def interrupted(env, out, **_):
+        out.mkdir(parents=True)
         raise KeyboardInterrupt
 
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(demo._DEMOS, "point", interrupted)
-    assert demo._demo("point") == 130
-    assert text in capsys.readouterr().out
+    monkeypatch.setattr(shes, "train", interrupted)
+    assert demo.play("", [TINY]) == 130
+    assert "Stopped; the runs so far are in runs/demo-" in capsys.readouterr().out
 
 
-def test_nothing_slow_is_imported_before_ctrl_c_is_handled():
+def test_nothing_slow_is_imported_before_ctrl_c_is_handled(monkeypatch, capsys):
     code = "import sys, shes.cli.demo; print({'mujoco', 'scipy', 'matplotlib'} & sys.modules.keys())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
+    monkeypatch.setattr(sys, "argv", ["demo", "horse"])
+    assert demo.main() == 2
+    assert capsys.readouterr().err == "unknown robot 'horse'; there are demos of ant and point\n"

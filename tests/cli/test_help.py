@@ -3,21 +3,23 @@
 import re
 import subprocess
 import sys
+from dataclasses import make_dataclass
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 import pytest
 
 from shes.cli import main, parsing
-from shes.cli.command_table import COMMANDS, EVERYWHERE
+from shes.cli.program import COMMANDS, EVERYWHERE, REMOVED
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
-from shes.envs.named_environments import ENVIRONMENTS
+from shes.es.optimizers import OPTIMIZERS
 from shes.listing import Listing
 from shes.runs import comparison, export
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
 from shes.runs.run_settings import execution_settings
+from shes.settings import Settings
 from shes.viewing import plot, render
 
 
@@ -66,12 +68,6 @@ def test_help_and_import_load_no_slow_package():
     assert slow & set(done.stdout.splitlines()[-1].split()) == set()
 
 
-@pytest.mark.parametrize("order", ["import shes, gymnasium", "import gymnasium, shes", "import gymnasium"])
-def test_environments_are_registered_whatever_is_imported_first(order):
-    name = "shes/PointGather-v0" if "shes" in order else "shes:shes/PointGather-v0"
-    subprocess.run([sys.executable, "-c", f"{order}; gymnasium.make('{name}')"], check=True)
-
-
 @pytest.mark.parametrize(
     ("function", "name", "known"),
     [
@@ -113,8 +109,7 @@ def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
 @pytest.mark.parametrize(
     "line",
     [
-        "",
-        *ENVIRONMENTS,
+        *("", "ant-fall", "point-flagrun"),
         *(f"--algorithm {each}" for each in ALGORITHMS),
         *(f"--preset {each}" for each in PRESET_NAMES),
     ],
@@ -255,29 +250,35 @@ def test_the_error_for_a_value_shows_the_default_of_its_flag(capsys, monkeypatch
     assert re.findall(r"\(default: (.*?)\)", capsys.readouterr().err) == [default]
 
 
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("shes tra", ["train"]),
-        ("shes train --explore-", ["--explore-horizon"]),
-        ("shes train --preset smo", ["smoke"]),
-        ("shes evaluate x --epis", ["--episodes"]),
-    ],
-)
-def test_bash_completes_commands_flags_and_choices(shes, tmp_path, line, expected):
+COMPLETED = {
+    "shes tra": ["train"],
+    "shes train --explore-": ["--explore-horizon"],
+    "shes train --preset smo": ["smoke"],
+    "shes evaluate x --epis": ["--episodes"],
+}
+
+
+def test_bash_completes_commands_flags_and_choices(shes, tmp_path):
     script = tmp_path / "shes.bash"
     script.write_text(shes("completion", "bash"))
-    words = " ".join(f"'{word}'" for word in line.split())
-    code = f"""
-        source {script}
-        COMP_WORDS=({words}); COMP_CWORD={len(line.split()) - 1}; COMP_LINE='{line}'; COMP_POINT={len(line)}
-        $(complete -p shes | grep -oP '(?<=-F )\\S+')
-        printf '%s\\n' "${{COMPREPLY[@]}}"
-    """
+    code = f"source {script}\ncompleting=$(complete -p shes | grep -oP '(?<=-F )\\S+')\n"
+    for line in COMPLETED:
+        words = line.split()
+        code += f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; COMP_LINE='{line}'\n"
+        code += f"COMP_POINT={len(line)}; COMPREPLY=(); $completing; echo ${{COMPREPLY[@]}}\n"
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
-    assert [word.strip() for word in done.stdout.split()] == expected
+    assert [line.split() for line in done.stdout.splitlines()] == list(COMPLETED.values())
 
 
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_have_a_script_too(shes, shell):
-    assert "shes" in shes("completion", shell)
+@pytest.mark.parametrize("what", REMOVED)
+def test_what_was_removed_names_its_replacement(capsys, what):
+    words = ["train", "point-gather", what, "1"] if what.startswith("--") else what.split()
+    assert main(words) == 2
+    name = what if what.startswith("--") else f"shes {what}"
+    assert capsys.readouterr().err == f"Error: {name} was removed. Instead, {REMOVED[what]}.\n"
+
+
+def test_a_removed_flag_that_an_own_class_has_is_one_again(given, monkeypatch):
+    options = make_dataclass("Options", [("momentum", float, 0.5)], bases=(Settings,), frozen=True, kw_only=True)
+    monkeypatch.setitem(OPTIMIZERS, "own", type("Own", (OPTIMIZERS["sgd"],), {"Options": options}))
+    assert given("point-gather", "--optimizer", "own", "--momentum", "0.8")[1]["momentum"] == 0.8

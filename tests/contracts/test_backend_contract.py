@@ -11,8 +11,8 @@ import psutil
 import pytest
 from threadpoolctl import threadpool_limits
 
+from shes.backends.backend import SerialBackend
 from shes.backends.named_backends import BACKENDS
-from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, WorkerError
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
@@ -146,7 +146,7 @@ def test_any_other_error_is_a_worker_error_with_its_traceback(backend):
 
 def test_a_backend_works_again_after_an_error_and_a_break(backend):
     with pytest.raises(WorkerError):
-        list(backend.map([("divide", 0)] * 4))
+        list(backend.map([("doubt", 0)] * 4))
     backend.broadcast(6)
     results = backend.map([("where", 0.01)] * 20)
     next(results)
@@ -171,7 +171,7 @@ def test_what_is_given_is_not_changed(backend):
 @pytest.mark.parametrize("is_at_work", [False, True])
 def test_closing_closes_workers_and_leaves_no_process(own_backend, is_at_work):
     backend, diary, children = own_backend
-    results = backend.map([("where", 0.05)] * 30)
+    results = backend.map([("where", 0.01)] * 30)
     done = [next(results)] if is_at_work else list(results)
     backend.close()
     results.close()

@@ -1,5 +1,7 @@
 """The contract of simulators. A new simulator is one line in `SIMULATORS`."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -105,17 +107,29 @@ def test_a_reset_simulation_cannot_be_told_from_a_new_one(make):
         assert_array_equal(state(used), state(new))
 
 
-def test_a_diverged_simulation_stays_finite_and_is_marked_alone(make):
-    simulator = make()
-    for _ in range(3):
-        simulator.qvel[3, 0] = 1e12
-        simulator.step(ALL, 5)
-        assert_array_equal(host(simulator.diverged), ALL == 3)
-        assert np.isfinite(state(simulator)).all()
-        simulator.reset(np.array([3]))
-        assert not host(simulator.diverged).any()
-        simulator.step(ALL, 5)
-        assert not host(simulator.diverged).any()
+@pytest.mark.parametrize(
+    ("field", "bad"),
+    [*product(["qpos", "qvel"], [1e12, np.nan, np.inf]), ("ctrl", np.nan)],  # a large control is cut
+)
+def test_only_the_simulation_that_blew_up_diverges(make, field, bad):
+    calm, spoiled = make(), make()
+    kick(calm)
+    kick(spoiled)
+    others = [0, 1, 2, 4]
+    for _ in range(2):  # a second time, too, after a reset
+        getattr(spoiled, field)[3, 0] = bad
+        for ids in (ALL, ALL, np.array(others)):
+            calm.step(ids, 5)
+            spoiled.step(ids, 5)
+            spoiled.ctrl[3] = 0
+            assert_array_equal(host(spoiled.diverged), ALL == 3)
+            assert np.isfinite(state(spoiled)).all()
+            assert_array_equal(state(spoiled)[others], state(calm)[others])
+        spoiled.reset(np.array([3]))
+        assert not host(calm.diverged).any()
+        assert not host(spoiled.diverged).any()
+    spoiled.step(ALL, 5)
+    assert not host(spoiled.diverged).any()
 
 
 # Whole states.

@@ -52,6 +52,20 @@ def train_tiny(path, env="point-gather", **settings):
     return train(env, out=path, **{**TINY, **settings}).path
 
 
+class AfterGeneration:
+    """A listener that calls `action` after generation `number`; 0 is the start."""
+
+    def __init__(self, number, action):
+        self.number, self.action = number, action
+
+    def on_start(self, *arguments):
+        self.on_generation({"generation": 0})
+
+    def on_generation(self, row):
+        if row["generation"] == self.number:
+            self.action()
+
+
 def flags(**settings):
     """Return settings as words of a command line."""
     words = []
@@ -194,7 +208,7 @@ def workers_of(pid):
             words = process.cmdline()
         except (psutil.NoSuchProcess, psutil.ZombieProcess):
             continue
-        if "shes.backends.process_worker" in words and words[-1] == str(pid):
+        if "shes.backends.processes" in words and words[-1] == str(pid):
             found.append(process)
     return [process.pid for process in sorted(found, key=lambda process: process.create_time())]
 

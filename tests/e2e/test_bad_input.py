@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -23,8 +24,6 @@ from tests.e2e import runs
 
 MENDABLE, FAILED = 2, 1
 TRAIN = ["train", "point-gather", *runs.flags(**runs.TINY)]
-# Lets the permissions of files hold for root, too: prctl(PR_CAPBSET_DROP, CAP_DAC_OVERRIDE).
-WITHOUT_ROOT = "assert os.geteuid() or ctypes.CDLL(None).prctl(24, 1, 0, 0, 0) == 0"
 
 
 @pytest.fixture
@@ -68,6 +67,7 @@ LINES = {
     "envs --import mine.py": r"no module 'mine'.*not a file: --import mine\.",
     "bench rolout": r"[Ii]nvalid choice 'rolout' .*rollout",
     "train pint-gather": r"unknown environment .*Did you mean 'point-gather'\? Known: point-gather, ant-.*`shes envs`",
+    "train gymnasium:CratPole-v1 --algorithm es": r"Did you mean 'CartPole-v1'",
     "train ant-gather --preset lapto": r"unknown preset 'lapto'\. Did you mean 'laptop'\? .*Set --preset",
     "train ant-gather --sigma nan": r"Error: sigma must be a positive number, got nan\. Set --sigma",
     "train ant-gather --noise-table-size 100": r"is 100, but a level has [\d,]+ parameters .*Raise --noise-table-s",
@@ -84,17 +84,6 @@ LINES = {
 def test_a_wrong_command_line_is_refused_with_its_fix(line, refused, tmp_path):
     refused(*line.split(), message=LINES[line])
     assert list(tmp_path.iterdir()) == []  # nothing was begun
-
-
-def test_debug_shows_the_traceback():
-    with pytest.raises(ShesError, match="unknown environment"):
-        main(["train", "pint-gather", "--debug"])
-
-
-def test_a_process_prints_one_line():
-    code, out, err = runs.run("train", "point-gather", "--preset", "lapto")
-    assert (code, out, err.count("\n")) == (MENDABLE, "", 1)
-    assert err.startswith("Error: unknown preset 'lapto'")
 
 
 # Run folders.
@@ -134,23 +123,15 @@ def test_resume_refuses_what_would_change_the_numbers(refused, run_copy):
         shes.resume(run_copy, sigm=1.0)
 
 
-CONFIGS = {
-    # What config.json holds instead of what; the message.
-    "half": (r"(?s)(.*)\n.*sigma.*", r"\1", r"config\.json cannot be read: .*Restore it from a copy"),
-    "empty": (r"(?s).*", "", r"config\.json cannot be read: "),
-    "other JSON": (r"(?s)(.+)", r"[\1]", r"config\.json is not the record of a SHES run"),
-    "other format": ('"format": 2', '"format": 9', r"not the record of a SHES run of format 2"),
-    "no settings": ('"config": {', '"konfig": {', r"config\.json is damaged: KeyError\('config'\)"),
-    "unknown key": ('"sigma"', '"sigmma"', r"config\.json: unknown setting 'sigmma'\. Did you mean 'sigma'\?"),
-    "wrong type": (r'"sigma": [\d.]+', '"sigma": "big"', r"sigma must be a positive number, got 'big'"),
-    "environment": ('"env": "point-', '"env": "pont-', r"config\.json: unknown environment 'pont-gather'\. Did you"),
-}
-
-
-@pytest.mark.parametrize("case", CONFIGS)
 @pytest.mark.parametrize("command", ["resume", "evaluate", "plot"])
-def test_a_damaged_record_is_refused(refused, run_copy, case, command):
-    before, after, message = CONFIGS[case]
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (r"(?s)(.*)\n.*sigma.*", r"\1", r"config\.json cannot be read: .*Restore it from a copy"),
+        ('"sigma"', '"sigmma"', r"config\.json: unknown setting 'sigmma'\. Did you mean 'sigma'\?"),
+    ],
+)
+def test_a_damaged_record_is_refused(refused, run_copy, before, after, message, command):
     config = run_copy / "config.json"
     config.write_text(re.sub(before, after, config.read_text(), count=1))
     refused(command, run_copy, message=message)
@@ -170,11 +151,6 @@ def cut_in_half(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
-def write_npy(path):
-    with path.open("wb") as file:
-        np.save(file, np.zeros(3))
-
-
 def spoil(path, level="primitive"):
     """Put a NaN into the parameters of a checkpoint."""
     with np.load(path) as file:
@@ -183,25 +159,22 @@ def spoil(path, level="primitive"):
     np.savez(path, **arrays)
 
 
-NOT_WHOLE = r"npz is not a whole SHES checkpoint .*--checkpoint last, best or a generation.*copy it over last\.npz"
-CHECKPOINTS = {
-    "truncated": (cut_in_half, NOT_WHOLE),
-    "empty": (lambda path: path.write_bytes(b""), NOT_WHOLE),
-    "text": (lambda path: path.write_text("hello"), NOT_WHOLE),
-    "foreign npz": (lambda path: np.savez(path, weights=np.zeros(3)), NOT_WHOLE),
-    "foreign npy": (write_npy, NOT_WHOLE),
-    "NaN": (spoil, r"npz holds NaN or infinity in primitive/theta\. Take an earlier checkpoint\."),
-}
-
-
-@pytest.mark.parametrize("case", CHECKPOINTS)
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (
+            cut_in_half,
+            r"is not a whole SHES checkpoint .*--checkpoint last, best or a generation.*copy it over last\.npz",
+        ),
+        (spoil, r"holds NaN or infinity in primitive/theta\. Take an earlier checkpoint\."),
+    ],
+)
 @pytest.mark.parametrize(("command", "name"), [("resume", "last"), ("evaluate", "best")])
-def test_a_damaged_checkpoint_is_refused_and_nothing_is_touched(refused, run_copy, case, command, name):
-    damage, message = CHECKPOINTS[case]
+def test_a_damaged_checkpoint_is_refused_and_nothing_is_touched(refused, run_copy, damage, message, command, name):
     damage(run_copy / "checkpoints" / f"{name}.npz")
     before = contents(run_copy)
     more = ["--generations", "6"] if command == "resume" else []
-    refused(command, run_copy, *more, message=rf"{name}\.{message}")
+    refused(command, run_copy, *more, message=rf"{name}\.npz {message}")
     assert contents(run_copy) == before
 
 
@@ -234,8 +207,6 @@ def test_evaluate_names_its_flags_and_the_checkpoints_there_are(refused, run_cop
 
 # Policies that return NaN.
 
-extras = pytest.mark.extras
-
 
 @pytest.fixture
 def unchecked(monkeypatch):
@@ -243,15 +214,7 @@ def unchecked(monkeypatch):
     monkeypatch.setattr("shes.evolution.strategies.check_arrays", lambda *_: None)
 
 
-@pytest.mark.parametrize(
-    ("level", "backend"),
-    [
-        ("controller", "serial"),
-        ("primitive", "processes"),
-        pytest.param("controller", "processes", marks=extras),
-        pytest.param("primitive", "serial", marks=extras),
-    ],
-)
+@pytest.mark.parametrize(("level", "backend"), [("controller", "serial"), ("primitive", "processes")])
 @pytest.mark.usefixtures("unchecked")
 def test_a_policy_that_returns_nan_ends_a_run_that_stays_intact(refused, run_copy, level, backend):
     spoil(run_copy / "checkpoints" / "last.npz", level)
@@ -314,26 +277,6 @@ def fill_disk(monkeypatch):
     return fill
 
 
-class FromGeneration:
-    """A listener that calls `action` after generation `number`; 0 is the start."""
-
-    def __init__(self, number, action):
-        self.number, self.action = number, action
-
-    def on_start(self, *arguments):
-        self.on_generation({"generation": 0})
-
-    def on_generation(self, row):
-        if row["generation"] == self.number:
-            self.action()
-
-    def on_evaluation(self, row):
-        pass
-
-    def on_event(self, event):
-        pass
-
-
 def intact(path):
     """Fail if a checkpoint is not whole or a half-written file is left; return the last one's generation."""
     assert not list(path.rglob("*.part"))
@@ -347,9 +290,10 @@ def intact(path):
     [
         # What cannot be written from which generation on; the last whole checkpoint is at most of which.
         ("last.npz", 2, 3),
-        pytest.param("best.npz", 0, 1, marks=extras),
-        pytest.param("generation_000004.npz", 2, 4, marks=extras),  # last.npz may be written before it
-        *((table, number, number + 1) for table in ("progress.csv", "evaluation.csv") for number in (0, 1, 2)),
+        ("best.npz", 0, 1),
+        ("progress.csv", 0, 1),
+        ("progress.csv", 1, 2),
+        ("evaluation.csv", 2, 3),
         ("tensorboard", 2, 4),
     ],
 )
@@ -357,7 +301,7 @@ def test_a_full_disk_ends_a_run_and_loses_nothing(tmp_path, tiny_run, fill_disk,
     path = tmp_path / "run"
     message = rf"cannot write .*{name}.*: the disk is full: make room.*`shes resume`"
     with pytest.raises(ShesError, match=message) as error:
-        runs.train_tiny(path, listener=FromGeneration(generation, lambda: fill_disk(name)))
+        runs.train_tiny(path, listener=runs.AfterGeneration(generation, lambda: fill_disk(name)))
     assert error.value.exit_code == MENDABLE
     assert intact(path) <= latest
     monkeypatch.undo()
@@ -383,36 +327,30 @@ def test_a_log_that_cannot_be_written_stops_nothing(tmp_path, tiny_run, monkeypa
     assert "Traceback" not in capsys.readouterr().err
 
 
-def in_a_process(prepare, *words, command=runs.COMMAND):
-    """Run the command in a process that runs the code `prepare` first."""
-    code = f"import ctypes, os, resource, sys\n{prepare}\nos.execv(sys.argv[1], sys.argv[1:])"
-    return subprocess.run(
-        [sys.executable, "-c", code, *command, *(str(word) for word in words)],
-        capture_output=True,
-        text=True,
-        timeout=runs.PATIENCE_S,
-        check=False,
-    )
-
-
 def test_a_file_that_the_system_cuts_off_loses_nothing(tmp_path):
     """A real limit of the kernel: no file may grow beyond the size of half a checkpoint."""
     path = runs.train_tiny(tmp_path / "run", generations=2)
-    size = (path / "checkpoints" / "last.npz").stat().st_size // 2
-    limit = f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))"
-    done = in_a_process(limit, "resume", path, "--generations", "4")
-    assert done.returncode == MENDABLE
-    assert re.search(r"Error: cannot write .*\.npz: the file is larger than allowed here", done.stderr)
-    assert "Traceback" not in done.stderr
+    size, limits = (path / "checkpoints" / "last.npz").stat().st_size // 2, resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        with pytest.raises(ShesError, match=r"cannot write .*\.npz: the file is larger than allowed here"):
+            shes.resume(path, generations=4)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert intact(path) == 2
 
 
+# Lets the permissions of files hold for root, too, after exec: prctl(PR_CAPBSET_DROP, CAP_DAC_OVERRIDE).
+PREPARE = """
+import ctypes, os, sys
+assert os.geteuid() or ctypes.CDLL(None).prctl(24, 1, 0, 0, 0) == 0
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 IN_TURN = """
 import json, sys
 from shes.cli import main
 for words in json.loads(sys.argv[1]):
-    code = main(words)
-    print("exit code", code, file=sys.stderr)
+    print("exit code", main(words), file=sys.stderr)
 """
 
 
@@ -427,14 +365,14 @@ def test_a_run_in_a_read_only_folder_can_be_evaluated_only(tmp_path, run_copy, t
         ["resume", str(run_copy), "--generations", "6"],
         ["evaluate", str(run_copy), "--episodes", "2", "--workers", "1", "--json"],
     ]
-    done = in_a_process(WITHOUT_ROOT, json.dumps(lines), command=(sys.executable, "-c", IN_TURN))
+    command = [sys.executable, "-c", PREPARE, sys.executable, "-c", IN_TURN, json.dumps(lines)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=runs.patient(60), check=False)
     assert re.search(
         rf"Error: cannot write .*locked/run: permission denied: .*--out(?s:.*)exit code {MENDABLE}\n"
         rf"Error: cannot write .*(\.lock|config\.json|progress\.csv): permission denied(?s:.*)exit code {MENDABLE}\n"
         r"exit code 0\n$",
         done.stderr,
     ), done.stderr
-    assert "Traceback" not in done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 2
     assert list(locked.iterdir()) == []
     assert runs.differences(tiny_run, run_copy) == []
@@ -451,10 +389,3 @@ def test_a_read_only_file_system_is_an_error_with_its_fix(refused, monkeypatch):
 def test_a_picture_in_a_missing_folder_is_refused(refused, run_copy):
     message = r"cannot write none/curves\.png: there is no such folder: create it first.*--out"
     refused("plot", run_copy, "--out", "none/curves.png", message=message)
-
-
-def test_a_reader_that_goes_away_is_no_error():
-    command = f"{sys.executable} -m shes train --help | head -1"
-    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
-    assert (done.returncode in (0, 141), done.stderr) == (True, "")
-    assert done.stdout.startswith("usage: shes train")

@@ -32,8 +32,7 @@ def assert_interrupted(process, path, workers):
 def go_on(path, undisturbed):
     """Fail if a resumed run has other numbers than one that nothing happened to."""
     assert runs.differences(undisturbed, path)
-    code, out, err = runs.run("resume", path)
-    assert (code, err) == (0, ""), out
+    resume(path)
     assert runs.differences(undisturbed, path) == []
 
 
@@ -46,17 +45,19 @@ def interrupt_inside(process, path, send):
     return inside, workers
 
 
-@pytest.fixture
-def interrupted_run(started):
-    """Return the folder of a run that was interrupted inside a generation, with a checkpoint of the one before."""
-    process, path = started()  # a terminal sends the signal to the whole process group
-    inside, workers = interrupt_inside(process, path, lambda: os.killpg(process.pid, signal.SIGINT))
+@pytest.mark.parametrize(
+    ("send", "number"),  # a terminal sends the signal to the whole process group
+    [
+        (os.killpg, signal.SIGINT),
+        pytest.param(os.kill, signal.SIGINT, marks=pytest.mark.extras),
+        pytest.param(os.kill, signal.SIGTERM, marks=pytest.mark.extras),
+    ],
+)
+def test_a_run_that_is_interrupted_goes_on_as_before(started, undisturbed, send, number):
+    process, path = started()
+    inside, workers = interrupt_inside(process, path, lambda: send(process.pid, number))
     assert assert_interrupted(process, path, workers) == inside - 1
-    return path
-
-
-def test_a_run_interrupted_in_a_terminal_goes_on_as_before(interrupted_run, undisturbed):
-    go_on(interrupted_run, undisturbed)
+    go_on(path, undisturbed)
 
 
 def test_ctrl_c_while_the_workers_start_is_quiet(started):
@@ -64,15 +65,6 @@ def test_ctrl_c_while_the_workers_start_is_quiet(started):
     workers = runs.wait_until(lambda: runs.workers_of(process.pid), "the first worker", every_s=0.02)
     os.killpg(process.pid, signal.SIGINT)
     assert assert_interrupted(process, path, workers) == 0
-
-
-@pytest.mark.extras
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_to_the_main_process_stops_it(started, undisturbed, number):
-    process, path = started()
-    inside, workers = interrupt_inside(process, path, lambda: os.kill(process.pid, number))
-    assert assert_interrupted(process, path, workers) == inside - 1
-    go_on(path, undisturbed)
 
 
 @pytest.mark.extras
@@ -90,6 +82,9 @@ def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pa
 
 
 # In this process: a signal at an exact place.
+
+
+INTERRUPTER = runs.AfterGeneration(2, lambda: signal.raise_signal(signal.SIGINT))
 
 
 def interrupted(path, **settings):
@@ -115,25 +110,8 @@ def test_ctrl_c_in_a_generation_ends_it_at_once(tmp_path, tiny_run, monkeypatch)
     assert runs.differences(tiny_run, tmp_path / "run") == []
 
 
-class Interrupter:
-    """A listener that sends SIGINT between two generations."""
-
-    def on_start(self, *arguments):
-        pass
-
-    def on_generation(self, row):
-        if row["generation"] == 2:
-            signal.raise_signal(signal.SIGINT)
-
-    def on_evaluation(self, row):
-        pass
-
-    def on_event(self, event):
-        pass
-
-
 def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):
-    interrupted(tmp_path / "run", listener=Interrupter())
+    interrupted(tmp_path / "run", listener=INTERRUPTER)
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []
@@ -158,7 +136,7 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
 
 def test_training_gives_the_signal_handlers_back(tmp_path):
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    interrupted(tmp_path / "run", listener=Interrupter())
+    interrupted(tmp_path / "run", listener=INTERRUPTER)
     with pytest.raises(ShesError, match="already holds a run"):
         runs.train_tiny(tmp_path / "run")
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before

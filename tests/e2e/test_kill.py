@@ -20,12 +20,6 @@ def imports_no_glfw(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "off")
 
 
-def resume(path):
-    """Go on with the run in a process of its own, to its end."""
-    code, out, err = runs.run("resume", path)
-    assert (code, err) == (0, ""), out
-
-
 def kill(pid):
     os.kill(pid, signal.SIGKILL)
 
@@ -77,7 +71,7 @@ def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed
     process, path = started(**settings)
     inside = kill_main_inside(process, path, 3)
     assert runs.differences(undisturbed, path)  # something is left to do
-    resume(path)
+    shes.resume(path)
     assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)[1:]
     assert runs.differences(undisturbed, path) == []
 
@@ -127,7 +121,7 @@ def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undistur
             process.kill()
             process.communicate()
     assert len(killed) > 1
-    resume(path)
+    shes.resume(path)
     assert runs.differences(undisturbed, path) == []
 
 

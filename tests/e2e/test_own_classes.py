@@ -1,6 +1,6 @@
 """A user's own environment, reward and encoding train on worker processes wherever they are written.
 
-The same script runs with its classes in itself, in a module beside it, and in a module of the working directory.
+The same script runs with its classes in itself, and in a module of the working directory.
 """
 
 import json
@@ -62,13 +62,6 @@ def in_the_script(folder, script):
     return run_python("own.py", cwd=folder)
 
 
-def in_a_module_beside_the_script(folder, script):
-    (folder / "scripts").mkdir()
-    (folder / "scripts" / "mine.py").write_text(CLASSES)
-    (folder / "scripts" / "own.py").write_text("from mine import register\n" + script)
-    return run_python(Path("scripts") / "own.py", cwd=folder)
-
-
 def in_a_module_of_the_working_directory(folder, script):
     """As in a notebook or at a Python prompt."""
     (folder / "mine").mkdir()
@@ -76,14 +69,7 @@ def in_a_module_of_the_working_directory(folder, script):
     return run_python("-", text="from mine.classes import register\n" + script, cwd=folder)
 
 
-PLACES = [
-    in_the_script,
-    pytest.param(in_a_module_beside_the_script, marks=pytest.mark.extras),
-    pytest.param(in_a_module_of_the_working_directory, marks=pytest.mark.extras),
-]
-
-
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", [in_the_script, in_a_module_of_the_working_directory])
 def test_own_classes_train_on_two_workers_with_the_numbers_of_one_process(reference, tmp_path, place):
     path, said = reference
     assert place(tmp_path, work(tmp_path / "run", backend="processes")) == said

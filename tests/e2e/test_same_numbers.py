@@ -43,7 +43,7 @@ def reference(tmp_path_factory):
     return make
 
 
-EVERY_DAY = {(1, 2, 7), (3, 3, 7)}  # with 3 workers, 20 policies do not come out even
+EVERY_DAY = {(3, 3, 7)}  # with 3 workers, 20 policies do not come out even
 
 
 @pytest.mark.timeout(600)
@@ -177,7 +177,7 @@ METHODS = [
 ]
 QUICK = {
     ("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen"),
-    ("ant-flagrun", "walker"), ("ant-gather", "walker"), ("point-push", "hiro"),
+    ("ant-gather", "walker"), ("point-push", "hiro"),
 }  # fmt: skip
 """These share enough with the others for every day."""
 SAME_AS_USUAL = {
@@ -258,44 +258,20 @@ def test_the_comparison_sees_every_kind_of_number(tiny_run):
     names = runs.numbers(tiny_run)
     checkpoints = {"best.npz", "last.npz", *(f"generation_00000{i}.npz" for i in (0, 2, 4))}
     assert {name.split("/")[0] for name in names} == {"evaluation.csv", "progress.csv", *checkpoints}
-    assert {
-        "last.npz/controller/theta",
-        "last.npz/primitive/optimizer_second",
-        "progress.csv/env_steps",
-    } <= names.keys()
+    expected = {"last.npz/controller/theta", "last.npz/primitive/optimizer_second", "progress.csv/env_steps"}
+    assert expected <= names.keys()
     assert not any(name.endswith("_s") for name in names)
     assert runs.differences(tiny_run, tiny_run) == []
 
 
-def change_a_bit(path):
-    last = path / "checkpoints" / "last.npz"
+def test_the_comparison_detects_a_bit_and_what_is_missing(run_copy, tiny_run):
+    last, table = run_copy / "checkpoints" / "last.npz", run_copy / "progress.csv"
     with np.load(last) as file:
         arrays = dict(file)
     arrays["primitive/theta"].view(np.int32)[-1] ^= 1
     np.savez(last, **arrays)
-
-
-def change_a_digit(path):
-    numbers, _, process_time_s = (path / "evaluation.csv").read_text().rstrip().rpartition(",")
-    (path / "evaluation.csv").write_text(f"{numbers[:-1]}9,{process_time_s}\n")
-
-
-def remove_a_row(path):
-    rows = (path / "progress.csv").read_text().splitlines(keepends=True)
-    (path / "progress.csv").write_text("".join(rows[:-1]))
-
-
-@pytest.mark.parametrize(
-    ("change", "first"),
-    [
-        (change_a_bit, "last.npz/primitive/theta"),
-        (change_a_digit, "evaluation.csv/diverged_episodes"),
-        (lambda path: (path / "checkpoints" / "generation_000002.npz").unlink(), "generation_000002.npz/"),
-        (remove_a_row, "progress.csv/"),
-    ],
-)
-def test_the_comparison_detects(run_copy, tiny_run, change, first):
-    change(run_copy)
-    found = runs.differences(tiny_run, run_copy)
-    assert found
-    assert all(name.startswith(first) for name in found)
+    assert runs.differences(tiny_run, run_copy) == ["last.npz/primitive/theta"]
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:-1]))
+    assert "progress.csv/env_steps" in runs.differences(tiny_run, run_copy)
+    (run_copy / "checkpoints" / "generation_000002.npz").unlink()
+    assert "generation_000002.npz/controller/theta" in runs.differences(tiny_run, run_copy)

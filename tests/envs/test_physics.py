@@ -1,12 +1,12 @@
 """Robots do not pass through walls, platforms or the block, and the block does not enter walls or platforms.
 
-Robots start close to a wall, the block, a corner or an edge, move towards it at up to 10 units per second and act at
-the limit. The penetration is measured after every physics step by geometry alone, independently of MuJoCo's contacts:
-all boxes are axis-aligned, so the depth of a point or box in another is a subtraction. The ant is represented by its
-torso's centre and its feet, which reach furthest. (At 11 m/s a robot cannot cross a box of 8 m within 0.02 s.)
+Robots start close to a wall, the block, a corner or an edge, move towards it at up to 10 m/s and act at the limit. The
+penetration is measured after every physics step by geometry alone, independently of MuJoCo's contacts: all boxes are
+axis-aligned. The ant is represented by its torso's centre and its feet, which reach furthest. (At 11 m/s a robot cannot
+cross a box of 8 m within 0.02 s.)
 """
 
-from dataclasses import dataclass
+from functools import cache
 from types import SimpleNamespace
 
 import mujoco
@@ -20,30 +20,19 @@ from shes.sim.cpu import CpuSimulator
 
 WORLDS = [(name, "shes") for name in ENVIRONMENTS if not name.endswith("-flagrun")]  # which has Gather's
 WORLDS += [("point-gather", "hiro"), ("ant-gather", "hiro")]  # the only ones with other walls
-
-START_SPEED_M_S = (4.0, 10.0)
 CLEARANCE_M = {"point": 0.3, "ant": 0.95}
 """How far from walls and block the robot's centre starts at least: an ant's feet are 0.9 m ahead of it."""
-RUN_UP_M = 0.5
-"""How much further off it may start."""
-
+TOUCH_M = {"robot": 0.27, "foot": 0.1}
+"""Radius of the point or of an ant's foot, and the contact margin: nearer than this it touches."""
 ALLOWED_M = {
-    # The robot's centre: of the point's sphere or the ant's torso, another sphere of 0.25 m. None may be over a wall.
-    "robot in wall": 0.0,
-    "robot over wall": 0.0,
-    "robot in platform": 0.0,
-    "robot under ground": 0.0,
-    # Contacts with a block of 0.2 g are soft: a point that pushes with its 6 N goes on with its surface 0.2 m in it.
-    # One that hits it when a wall is behind it gets 0.6 m in, its centre 0.35 m; it is pushed out again.
+    # The robot's centre: of the point's sphere or the ant's torso, another sphere of 0.25 m.
+    **dict.fromkeys(("robot in wall", "robot over wall", "robot in platform", "robot under ground"), 0.0),
+    # A block of 0.2 g is soft: a point that hits it when a wall is behind it gets its centre 0.35 m in.
     "robot in block": 0.5,
     # 0.25 m at most in a thousand episodes of any task and integrator.
-    "block in wall": 0.4,
-    "block in platform": 0.4,
-    "block under ground": 0.4,
-    # 0.28 m at most in a thousand episodes. A foot that is never deeper never is beyond the wall's centre, at 4 m.
-    "foot in wall": 0.4,
-    "foot in platform": 0.4,
-    # 0.54 m at most in a thousand episodes, of the 4 m to the block's centre plane.
+    **dict.fromkeys(("block in wall", "block in platform", "block under ground"), 0.4),
+    # 0.28 m at most in a thousand episodes; in the block 0.54 m, of the 4 m to its centre plane.
+    **dict.fromkeys(("foot in wall", "foot in platform"), 0.4),
     "foot in block": 0.8,
 }
 """How deep they may be in each other at most."""
@@ -51,45 +40,32 @@ ALLOWED_AT_REST_M = {"robot in block": 0.0, "foot in block": 0.1, "foot in wall"
 """The same after a second without a control; an ant may lean against the block (its feet: 0.04 m in a thousand)."""
 
 
-@dataclass
+@cache
 class Boxes:
-    """Axis-aligned boxes: centres and half sizes [B, 3]."""
+    """The boxes of a model whose name begins with `prefix`: centres and half sizes [B, 3]."""
 
-    center: np.ndarray
-    half: np.ndarray
+    def __init__(self, model, prefix):
+        found = [model.geom(i) for i in range(model.ngeom) if model.geom(i).name.startswith(prefix)]
+        self.center, self.half = np.array([[geom.pos, geom.size] for geom in found]).reshape(-1, 2, 3).swapaxes(0, 1)
 
-    def depth(self, center, half=0.0):
-        """Return the largest depth [N] of the points or boxes at `center` [N, 3] in these boxes."""
-        return (self.half + half - np.abs(center[:, None] - self.center)).min(axis=2).max(axis=1)
-
-    def up_to_the_sky(self):
-        """Return these boxes extended upwards."""
-        return Boxes(self.center, self.half + np.array([0.0, 0.0, 100.0]))
+    def depth(self, center, half=0.0, height=0.0):
+        """Return the largest depth [N] of points or boxes at `center` [N, 3] in these boxes, made higher."""
+        size = self.half + half + [0, 0, height]
+        return (size - np.abs(center[:, None] - self.center)).min(axis=2).max(axis=1, initial=-np.inf)
 
 
-def find_boxes(model, prefix):
-    """Return the boxes whose name begins with this."""
-    found = [model.geom(i) for i in range(model.ngeom) if model.geom(i).name.startswith(prefix)]
-    boxes = np.array([[geom.pos, geom.size] for geom in found]).reshape(-1, 2, 3)
-    return Boxes(boxes[:, 0], boxes[:, 1])
+boxes_of, data_of = cache(Boxes), cache(mujoco.MjData)
 
 
-class Legs:
-    """Finds the ant's feet: the centres of the spheres, of radius 0.08 m, at the ends of its capsules."""
-
-    def __init__(self, model):
-        self.model, self.data = model, mujoco.MjData(model)
-        self.geoms = [model.geom(f"lower_{leg}_geom").id for leg in (1, 2, 3, 4)]
-        self.bodies = model.geom_bodyid[self.geoms]
-
-    def find_feet(self, qpos):
-        """Return the feet [N, 4, 3] of ants at `qpos` [N, nq]."""
-        feet = np.empty((len(qpos), 4, 3))
-        for i, each in enumerate(qpos):
-            self.data.qpos[:] = each
-            mujoco.mj_kinematics(self.model, self.data)
-            feet[i] = 2 * self.data.geom_xpos[self.geoms] - self.data.xpos[self.bodies]  # a capsule begins at its body
-        return feet
+def feet_of(model, qpos):
+    """Return the feet [N, 4, 3] of ants at `qpos` [N, nq]: the ends of the lowest capsules, which begin at a body."""
+    data, feet = data_of(model), np.empty((len(qpos), 4, 3))
+    geoms = [model.geom(f"lower_{leg}_geom").id for leg in (1, 2, 3, 4)]
+    for i, each in enumerate(qpos):
+        data.qpos[:] = each
+        mujoco.mj_kinematics(model, data)
+        feet[i] = 2 * data.geom_xpos[geoms] - data.xpos[model.geom_bodyid[geoms]]
+    return feet
 
 
 def block_axes(task):
@@ -97,85 +73,65 @@ def block_axes(task):
     return ["xyz".index(axis) for axis in getattr(task, "block_axes", "")]
 
 
-def depths(task, legs=None):
-    """Return the current depths in metres by name, each [N]; positive is inside. `legs` measures the feet, too."""
+def depths(task):
+    """Return the current depths in metres by name, each [N]; positive is inside."""
     model, qpos = task.sim.model, task.sim.qpos
     robot = np.column_stack([qpos[:, :2], qpos[:, 2] if task.body.num_qpos > 2 else np.full(len(qpos), 0.5)])
-    walls, platforms = find_boxes(model, "wall"), find_boxes(model, "platform")
-    found = {"robot in wall": walls.depth(robot), "robot over wall": walls.up_to_the_sky().depth(robot)}
-    found["robot under ground"] = -robot[:, 2]
-    feet = np.empty((len(qpos), 0, 3)) if legs is None else legs.find_feet(qpos)
-    boxes = {"wall": walls} | ({"platform": platforms} if len(platforms.center) else {})
-    if platforms := boxes.get("platform"):
-        found["robot in platform"] = platforms.depth(robot)
-    for name in boxes if legs else ():
-        found[f"foot in {name}"] = boxes[name].depth(feet.reshape(-1, 3)).reshape(-1, 4).max(axis=1)
+    boxes = {name: boxes_of(model, name) for name in ("wall", "platform")}
+    found = {f"robot in {name}": each.depth(robot) for name, each in boxes.items()}
+    found |= {"robot over wall": boxes["wall"].depth(robot, height=100.0), "robot under ground": -robot[:, 2]}
+    feet = feet_of(model, qpos) if task.body.name == "ant" else np.empty((len(qpos), 0, 3))
+    for name, each in boxes.items() if feet.size else ():
+        found[f"foot in {name}"] = each.depth(feet.reshape(-1, 3)).reshape(-1, 4).max(axis=1)
     if axes := block_axes(task):
         block, half = np.tile(model.body("block").pos, (len(qpos), 1)), model.geom("block").size
         block[:, axes] += qpos[:, task.body.num_qpos :][:, :2]
         # Not to where it could leave through the bottom: the block stands on the ground.
         inside = np.minimum((half - np.abs(robot - block))[:, :2].min(axis=1), block[:, 2] + half[2] - robot[:, 2])
         found["robot in block"] = np.where(robot[:, 2] < block[:, 2] - half[2], -1.0, inside)
-        found |= {f"block in {name}": boxes[name].depth(block, half) for name in boxes}
-        if platforms:
-            found["block under ground"] = half[2] - block[:, 2]
-        if legs:
-            found["foot in block"] = (half - np.abs(feet - block[:, None])).min(axis=2).max(axis=1)
+        found |= {f"block in {name}": each.depth(block, half) for name, each in boxes.items()}
+        found["block under ground"] = half[2] - block[:, 2] if 2 in axes else np.zeros(len(qpos))
+        found["foot in block"] = (half - np.abs(feet - block[:, None])).min(axis=2).max(axis=1, initial=-np.inf)
     return found
 
 
 def choose_starts(task, rng):
     """Return each robot's start and the direction of its obstacle, each [N, 2].
 
-    A third of them aim at a corner or edge, the others at a point of a face. All start on free ground within the outer
-    walls.
+    A third of them aim at a corner or edge, the others at a point of a face. All start on free ground within the walls.
     """
-    model = task.sim.model
-    walls = find_boxes(model, "wall")
+    model, clearance = task.sim.model, CLEARANCE_M[task.body.name]
+    walls, platforms = Boxes(model, "wall"), Boxes(model, "platform")
     centers, halves = walls.center[:, :2], walls.half[:, :2]
     low, high = (centers - halves).min(axis=0), (centers + halves).max(axis=0)
     if block_axes(task):
         centers = np.vstack([centers, model.body("block").pos[:2]])
         halves = np.vstack([halves, model.geom("block").size[:2]])
-    clearance = CLEARANCE_M[task.body.name]
     chosen = []
     while len(chosen) < task.num_episodes:
-        which = rng.integers(len(centers))
-        shift = rng.uniform(-1, 1, 2)
-        axis = rng.integers(2)
-        shift[axis] = rng.choice([-1, 1])
+        which, shift = rng.integers(len(centers)), rng.uniform(-1, 1, 2)
+        shift[rng.integers(2)] = rng.choice([-1, 1])
         if rng.random() < 1 / 3:
             shift = np.sign(shift)
-        aim = centers[which] + shift * halves[which]
         angle = rng.uniform(-np.pi, np.pi)
         direction = np.array([np.cos(angle), np.sin(angle)])
-        start = aim - direction * rng.uniform(clearance, clearance + RUN_UP_M)
-        outside = np.maximum(np.abs(start - centers) - halves, 0)
-        is_clear = np.linalg.norm(outside, axis=1).min() >= clearance
-        if is_clear and (start > low).all() and (start < high).all() and is_on_ground(task, start):
+        start = centers[which] + shift * halves[which] - direction * rng.uniform(clearance, clearance + 0.5)
+        is_clear = np.linalg.norm(np.maximum(np.abs(start - centers) - halves, 0), axis=1).min() >= clearance
+        has_ground = not len(platforms.center) or platforms.depth(np.array([[*start, 0.0]]), height=100.0)[0] > 0
+        if is_clear and has_ground and (start > low).all() and (start < high).all():
             chosen.append((start, direction))
     return np.array(chosen).transpose(1, 0, 2)
 
 
-def is_on_ground(task, place):
-    """Return whether there is ground at the robot's height at (x, y) `place`."""
-    platforms = find_boxes(task.sim.model, "platform")
-    return not len(platforms.center) or platforms.up_to_the_sky().depth(np.array([[*place, 0.0]]))[0] > 0
-
-
-def crash(name, num_episodes, steps, seed, *, change=None, **options):
-    """Make robots of environment `name` hit the obstacles of their world.
+def crash(name, num_episodes, steps, seed, *, change=id, **options):
+    """Make robots of environment `name` hit the obstacles of their world; `change` is called with the model before.
 
     They first act towards their obstacle, then at random, with each action held for some steps; at the end they rest
-    for a second. `change` is called with the model beforehand.
-
-    Returns the largest depths [N] by name, the final ones, whether each robot touched an obstacle [N] and whether its
-    simulation diverged [N].
+    for a second. Return the largest depths [N] by name, the last ones, and whether each simulation diverged [N].
     """
 
     def make_simulator(model, num_sims):
-        if change is not None:
-            change(model)
+        change(model)
         return CpuSimulator(model, num_sims)
 
     def draw_action():
@@ -184,62 +140,29 @@ def crash(name, num_episodes, steps, seed, *, change=None, **options):
     task = make_task(name, num_episodes, find_environment(name).options(**options), make_simulator)
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
     task.reset(ids, ids)
-    direction = launch(task, rng)
-    legs = Legs(task.sim.model) if task.body.name == "ant" else None
-    greatest, touch = depths(task, legs), Touch(task)
-    action = draw_action()
+    task.sim.qpos[:, :2], direction = choose_starts(task, rng)
+    task.sim.qvel[:, :2] = direction * rng.uniform(4.0, 10.0, num_episodes)[:, None]
+    if task.body.quaternion is not None:  # with any heading
+        half_yaw = rng.uniform(-np.pi, np.pi, num_episodes) / 2
+        task.sim.qpos[:, 3:7] = np.column_stack([np.cos(half_yaw), 0 * half_yaw, 0 * half_yaw, np.sin(half_yaw)])
+    greatest, action = depths(task), draw_action()
     if task.body.name == "point":
         action = np.where(direction > 0, 1.0, -1.0) * task.control_limit
     for step in range(steps + 10):
         if step >= 4:
-            changes = rng.random(num_episodes) < 0.2
-            action = np.where(changes[:, None], draw_action(), action)
+            action = np.where(rng.random((num_episodes, 1)) < 0.2, draw_action(), action)
         task.sim.ctrl[:] = action if step < steps else 0
         for _ in range(FRAME_SKIP):  # what Task.step does, seen from near
             task.sim.step(ids, 1)
-            for each, depth in depths(task, legs).items():
+            for each, depth in depths(task).items():
                 greatest[each] = np.maximum(greatest[each], depth)
-            touch.look()
-    return SimpleNamespace(
-        greatest=greatest, last=depths(task, legs), has_touched=touch.has_touched, has_diverged=task.diverged.copy()
-    )
-
-
-def launch(task, rng):
-    """Place every robot near an obstacle, with any heading and a velocity towards it; return the direction [N, 2]."""
-    start, direction = choose_starts(task, rng)
-    task.sim.qpos[:, :2] = start
-    task.sim.qvel[:, :2] = direction * rng.uniform(*START_SPEED_M_S, len(start))[:, None]
-    if task.body.quaternion is not None:
-        half_yaw = rng.uniform(-np.pi, np.pi, len(start)) / 2
-        task.sim.qpos[:, 3:7] = np.column_stack([np.cos(half_yaw), 0 * half_yaw, 0 * half_yaw, np.sin(half_yaw)])
-    return direction
-
-
-class Touch:
-    """Records which robots have touched a wall or the block, from MuJoCo's contacts."""
-
-    def __init__(self, task):
-        self.task, self.model = task, task.sim.model
-        self.data = mujoco.MjData(self.model)
-        self.has_touched = np.zeros(task.num_episodes, dtype=bool)
-        names = [self.model.geom(i).name for i in range(self.model.ngeom)]
-        self.obstacles = [i for i, name in enumerate(names) if name.startswith(("wall", "block"))]
-        moving = self.model.geom_bodyid > 0
-        self.robot = [i for i, name in enumerate(names) if moving[i] and name != "block"]
-
-    def look(self):
-        """Check the robots that have not touched anything yet."""
-        for i in np.flatnonzero(~self.has_touched):
-            self.data.qpos[:] = self.task.sim.qpos[i]
-            mujoco.mj_fwdPosition(self.model, self.data)
-            pairs = self.data.contact.geom
-            of_both = np.isin(pairs, self.robot).any(axis=1) & np.isin(pairs, self.obstacles).any(axis=1)
-            self.has_touched[i] = of_both.any()
+    return SimpleNamespace(greatest=greatest, last=depths(task), has_diverged=task.diverged.copy())
 
 
 def assert_nothing_passes(crashes):
-    assert crashes.has_touched.mean() >= 0.9
+    pairs = [each for each in crashes.greatest if each.endswith((" in wall", " in block"))]
+    touches = [crashes.greatest[each] > -TOUCH_M[each[:5].strip()] for each in pairs if not each.startswith("block")]
+    assert np.any(touches, axis=0).mean() >= 0.9
     assert not crashes.has_diverged.any()
     for each, depth in crashes.greatest.items():
         assert depth.max() <= ALLOWED_M[each], f"{each}: {depth.max():.2f} m, episode {depth.argmax()}"
@@ -274,14 +197,13 @@ def test_nothing_passes_in_a_thousand_episodes(name, spec, integrator):
 
 def test_the_feet_are_measured_where_the_legs_end():
     model = make_task("ant-push", 1).sim.model
-    feet = Legs(model).find_feet(model.qpos0[None])[0]
-    np.testing.assert_allclose(feet, [[0.8, 0.8, 0.75], [-0.8, 0.8, 0.75], [-0.8, -0.8, 0.75], [0.8, -0.8, 0.75]])
+    feet = [[0.8, 0.8, 0.75], [-0.8, 0.8, 0.75], [-0.8, -0.8, 0.75], [0.8, -0.8, 0.75]]
+    np.testing.assert_allclose(feet_of(model, model.qpos0[None])[0], feet)
 
 
 @pytest.mark.parametrize(
     ("name", "prefix"),
-    [(f"{body}-{task}", box) for body in ("point", "ant") for task, box in (("maze", "wall"), ("push", "block"))]
-    + [("point-fall", "platform"), ("ant-fall", "block")],
+    [("point-maze", "wall"), ("ant-maze", "wall"), ("ant-push", "block"), ("point-fall", "platform")],
 )
 def test_the_measurement_sees_what_passes_through(name, prefix):
     def make_intangible(model):

@@ -1,14 +1,15 @@
-"""Environments by name."""
+"""Environments by name, and their ids in Gymnasium."""
 
 import re
 from dataclasses import dataclass
 
+import gymnasium
 import pytest
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
-from shes.envs.bodies.point import Point
-from shes.envs.gymnasium_ids import SPECS_OF
+from shes.envs.bodies.point import FallingPoint, Point
+from shes.envs.gymnasium_ids import SPECS_OF, register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.task import Task
@@ -16,6 +17,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
+from tests.contracts.variants import VARIANTS
 from tests.e2e.own_classes import Corner
 
 
@@ -30,10 +32,10 @@ def restored():
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_a_name_makes_its_body_and_its_task(name):
-    body, kind = ENVIRONMENTS[name]
-    task = make_task(name, 2)
+    (body, kind), made = ENVIRONMENTS[name], []
+    task = make_task(name, 2, simulator=lambda *of: made.append(CpuSimulator(*of)) or made[0])
     assert name == f"{body.name}-{kind.name}"
-    assert (type(task), type(task.body), task.num_episodes) == (kind, body, 2)
+    assert (type(task), type(task.body), task.num_episodes, [task.sim]) == (kind, body, 2, made)
     assert task.options == kind.Options()
     assert (task.options.integrator, task.options.reset_noise, task.options.evaluation) == ("euler", 0.1, False)
     assert SPECS_OF[name] == kind.specs  # what Gymnasium is told of without importing it
@@ -41,12 +43,7 @@ def test_a_name_makes_its_body_and_its_task(name):
 
 @pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
 @pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ("ant-gathr", "Did you mean 'ant-gather'?"),
-        ("pointgather", "Did you mean 'point-gather'?"),
-        ("zzz", "Known: ant-fall, "),
-    ],
+    ("wrong", "words"), [("pointgather", "Did you mean 'point-gather'?"), ("zzz", "Known: ant-fall, ")]
 )
 def test_an_unknown_environment_is_told_the_nearest_name(call, wrong, words):
     with pytest.raises(UnknownNameError, match=re.escape(f"unknown environment '{wrong}'. {words}")) as caught:
@@ -55,15 +52,32 @@ def test_an_unknown_environment_is_told_the_nearest_name(call, wrong, words):
     assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)
 
 
-def test_a_task_uses_the_simulator_it_is_given():
-    made = []
+# Gymnasium's ids.
 
-    def simulator(model, num_sims):
-        made.append(CpuSimulator(model, num_sims))
-        return made[-1]
+SIZES = {
+    "AntGather": (50, 50), "AntMaze": (32, 32), "AntPush": (36, 32), "AntFall": (37, 33), "AntFlagrun": (32, 32),
+    "PointGather": (25, 25), "PointMaze": (7, 7), "PointPush": (11, 7), "PointFall": (14, 10), "PointFlagrun": (7, 7),
+}  # fmt: skip
+"""Observed values as the two specifications, shes and hiro, count them."""
 
-    assert [make_task("point-gather", 3, simulator=simulator).sim] == made
-    assert made[0].num_sims == 3
+
+@pytest.mark.parametrize("variant", VARIANTS, ids="-".join)
+def test_an_id_makes_the_environment_of_its_name(variant):
+    name = variant.id.removeprefix("shes/").removesuffix("-v0").removesuffix("Hiro")
+    body = Ant if name.startswith("Ant") else FallingPoint if name == "PointFall" else Point
+    task, spec = re.findall("[A-Z][a-z]+", name)[1].lower(), "hiro" if "Hiro" in variant.id else "shes"
+    for made in (gymnasium.make(variant.id).unwrapped, gymnasium.make_vec(variant.id, num_envs=2)):
+        assert (type(made.task.body), made.task.name, made.task.options.spec) == (body, task, spec)
+        assert made.observation_space.shape[-1] == made.task.observation_size == SIZES[name][spec == "hiro"]
+
+
+def test_every_environment_has_its_id_in_both_specifications(monkeypatch):
+    assert {each.id for each in VARIANTS} == {f"shes/{name}{spec}-v0" for name in SIZES for spec in ("", "Hiro")}
+    monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
+    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+    monkeypatch.setattr("shes.envs.gymnasium_ids.SPECS_OF", {})
+    register_ids("point-corner", Corner.specs)
+    assert [each for each in gymnasium.registry if "PointCorner" in each] == ["shes/PointCorner-v0"]
 
 
 # Environments of users.
@@ -77,12 +91,6 @@ def test_an_environment_may_be_registered_again():
     again = type("Corner", (Corner,), {"__module__": Corner.__module__, "__qualname__": "Corner"})
     register_environment("point-corner", Point, again)
     assert find_environment("point-corner").task is again
-
-
-@pytest.mark.parametrize("name", ["corner", "point-corner", "point_corner_2", "a1-b2_c3"])
-def test_names_are_lower_case_words(name):
-    register_environment(name, Point, Corner)
-    find_environment(name)
 
 
 class Sized(Point):
@@ -108,35 +116,20 @@ class Heavy(Settings):
 Swept, Rock = type("Swept", (Corner,), {"Options": Sweeping}), type("Rock", (Point,), {"Options": Heavy})
 Nameless = type("Nameless", (Task,), dict.fromkeys(Task.__abstractmethods__))
 NAME = r"environment name must be lower-case words .*joined by - or _, got {!r}\. For example"
-TAKEN = (
-    r"environment 'ant-gather' is shes\.envs\.bodies\.ant\.Ant with shes\.envs\.tasks\.gather\.Gather already\. Choose"
-)
+TAKEN = r"'ant-gather' is shes\.envs\.bodies\.ant\.Ant with shes\.envs\.tasks\.gather\.Gather already\. Choose"
+CLASS = r"a {} must be a subclass of shes\.\S*\.{}, got {}"
 
 
 @pytest.mark.parametrize(
     ("name", "body", "task", "message"),
     [
-        *[
-            (name, Point, Corner, NAME.format(name))
-            for name in ("", "Point-Corner", "point corner", "-point", "point-", "point--corner", "2d", None, 3)
-        ],
-        *[("ant-gather", *classes, TAKEN) for classes in ((Point, Corner), (Ant, Corner), (Point, Gather))],
+        *((name, Point, Corner, NAME.format(name)) for name in ("", "Point-Corner", "point--corner", "2d", None)),
+        *(("ant-gather", *classes, TAKEN) for classes in ((Ant, Corner), (Point, Gather))),
         ("new", Point, Swept, r"option 'sweep' of .*has a name that is taken"),
         ("new", Rock, Corner, r"option 'mass' of .*Heavy has no default"),
-        (
-            "new",
-            Corner,
-            Corner,
-            r"a body must be a subclass of shes\.\S*\.Body, got <class '.*Corner'>\. Write class Y",
-        ),
-        (
-            "new",
-            Point,
-            Point,
-            r"a task must be a subclass of shes\.\S*\.Task, got <class '.*Point'>\. Write class Your",
-        ),
+        ("new", Corner, Corner, CLASS.format("body", "Body", r"<class '.*Corner'>\. Write class Y")),
+        ("new", Point, Point, CLASS.format("task", "Task", r"<class '.*Point'>\. Write class Your")),
         ("new", Point(), Corner, r"a body must be .*got <shes\.\S*\.Point object.*give the class, not an object of it"),
-        ("new", Point, "Corner", r"a task must be .*got 'Corner'"),
         ("new", Body, Corner, r"body shes\.\S*\.Body lacks add_to, .*name, .*says what each of them is: add them"),
         ("new", Point, Task, r"task shes\.\S*\.Task lacks .*build_world, .*observe, .*name, description\. "),
         ("new", Sized, Corner, r"body .*Sized cannot be constructed with no arguments: .*'size'\. Change its __init__"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import rankdata
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.es.level import LevelState, LevelUpdate
 from shes.es.optimizers import Adam
 from shes.evolution.algorithm import GenerationReport, evolve

@@ -116,11 +116,9 @@ def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeyp
     cases = [
         (run("b", population_size=7), ConfigError, "population_size must be a positive multiple of 4", "serial"),
         (run(), UnknownNameError, "'rays'", "rays"),
-        (run(), MissingExtraError, "--backend ray needs Ray", "ray"),
         (hiro, MissingExtraError, "--algorithm hiro needs JAX", "serial"),
         (run(), MissingExtraError, "needs SciPy", "serial"),
     ]
-    monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setitem(sys.modules, "jax", None)
     for name in [each for each in sys.modules if each.startswith("shes.baselines.")]:
         monkeypatch.delitem(sys.modules, name)  # else what another test has imported is there already

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.es.noise import NoiseTable
 from shes.evolution.algorithm import evolve
 from shes.rollout.worker import RolloutWorker

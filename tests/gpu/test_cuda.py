@@ -14,11 +14,11 @@ import shes
 from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.es.noise import NoiseTable, weighted_noise_sum
-from shes.host_arrays import to_host
 from shes.runs.folder import RunFolder
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
+from shes.types import to_host
 from tests.e2e import runs
 from tests.rollout import test_device_arrays as stand_in
 

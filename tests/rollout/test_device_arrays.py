@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.evolution.algorithm import evolve
 from shes.rollout.lockstep import Rollout

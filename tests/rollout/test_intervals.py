@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.es.level import draw_noise_index, update_level
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.estimates import IntervalEstimate, draw_episodes, draw_pairs, next_running

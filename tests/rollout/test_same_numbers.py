@@ -7,8 +7,8 @@ from functools import lru_cache, partial
 import numpy as np
 import pytest
 
+from shes.backends.backend import SerialBackend
 from shes.backends.processes import ProcessesBackend
-from shes.backends.serial import SerialBackend
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS

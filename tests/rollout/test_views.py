@@ -7,8 +7,7 @@ import pytest
 from shes.agents.views import ColumnsView, EgocentricView
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.envs.named_environments import ENVIRONMENTS, register_external
+from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
 from shes.evolution.designs import primitive_inputs

@@ -173,7 +173,7 @@ def fits(tmp_path, monkeypatch):
         raise BegunError
 
     def ask(free, env="point-gather", **settings):
-        monkeypatch.setattr("shes.machine.memory_limits", lambda: [free])
+        monkeypatch.setattr("resource.getrlimit", lambda _: (free, free))  # as by `ulimit -v`
         with pytest.raises((BegunError, ConfigError)) as stop:
             shes.train(env, out=tmp_path / "run", **{"preset": "smoke", "noise_table_size": 1_000_000, **settings})
         assert list(tmp_path.iterdir()) == []

@@ -44,6 +44,8 @@ KINDS = {
             "goal_encoding": "vector",
             "primitive_hidden": (),
             "minimum_goal_distance": False,
+            "controller_interval": 3,
+            "goal_distance": 1.0,
         },
     ),
     "sectors": ("ant-gather", {"controller_view": "sectors", "controller_output": "heading_vector"}),

@@ -6,8 +6,6 @@ import json
 import os
 import re
 import shutil
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,9 +24,11 @@ def test_a_run_folder_has_the_files_of_the_design(tiny_run):
     assert names == {"best.npz", "last.npz", *(f"generation_{number:06d}.npz" for number in (0, 2, 4))}
 
 
-def test_the_record_says_what_the_run_is_and_what_made_it(run_copy):
+def test_the_record_says_what_the_run_is_and_what_made_it(run_copy, monkeypatch):
     before = RunFolder.open(run_copy).read_config()
+    monkeypatch.setattr("sys.argv", ["/here/bin/shes", "resume"])
     shes.resume(run_copy, generations=5)
+    monkeypatch.setattr("sys.argv", ["/here/experiments/__main__.py", "fig3"])
     shes.resume(run_copy, generations=6, keep_checkpoints=3)
     record = json.loads((run_copy / "config.json").read_text())
     assert record["config"]["networks"]["hidden"] == [4]
@@ -37,7 +37,8 @@ def test_the_record_says_what_the_run_is_and_what_made_it(run_copy):
     assert record["machine"]["processor"]
     assert record["machine"]["cores"] >= 1
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", record["started"])
-    assert record["command"] == [Path(sys.argv[0]).name, *sys.argv[1:]]  # no path of this machine
+    commands = [entry["command"] for entry in record["resumed"]]  # no path of this machine
+    assert commands == [["shes", "resume"], ["python", "-m", "experiments", "fig3"]]
     assert record["git_commit"] is None or re.fullmatch(r"[0-9a-f]{40}", record["git_commit"])
     assert [entry["generation"] for entry in record["resumed"]] == [4, 5]
     assert all("versions" in entry for entry in record["resumed"])

@@ -14,7 +14,7 @@ import pytest
 
 import shes
 from shes.baselines.learner_settings import HIRO_SECTIONS
-from shes.envs.tasks.maze import Maze
+from shes.envs.tasks.mazes import Maze
 from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
 from shes.runs.folder import RunFolder

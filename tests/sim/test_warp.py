@@ -108,12 +108,6 @@ def stir(simulators, rng, speed=0.5):
         simulator.ctrl[:] = ctrl
 
 
-def test_the_arrays_are_numpys_of_float32():
-    simulator = WarpCpu(ant_model(), 3)
-    assert {getattr(simulator, name).dtype for name in FIELDS} == {np.dtype(np.float32)}
-    assert simulator.xp is np
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_the_replayed_graph_gives_what_mujoco_warp_gives(integrator):
     import mujoco_warp
@@ -124,7 +118,7 @@ def test_the_replayed_graph_gives_what_mujoco_warp_gives(integrator):
     with warp.ScopedDevice("cpu"):
         plain_model = mujoco_warp.put_model(model)
         plain_model.callback.contactfilter = simulator.align_tangents
-        plain = mujoco_warp.make_data(model, num_sims, nconmax=simulator.buffers.nconmax, njmax=simulator.buffers.njmax)
+        plain = mujoco_warp.make_data(model, num_sims, nconmax=simulator.nconmax, njmax=simulator.njmax)
         stir([simulator], np.random.default_rng(1))
         plain.qpos.numpy()[:], plain.qvel.numpy()[:] = simulator.qpos, simulator.qvel
         plain.ctrl.numpy()[:] = simulator.ctrl
@@ -134,7 +128,7 @@ def test_the_replayed_graph_gives_what_mujoco_warp_gives(integrator):
                 mujoco_warp.step(plain_model, plain)
             assert_array_equal(simulator.qpos, plain.qpos.numpy())
             assert_array_equal(simulator.qvel, plain.qvel.numpy())
-    assert simulator.peaks().contacts > 0, "nothing touched"
+    assert simulator.peaks()[0] > 0, "nothing touched"
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
@@ -158,29 +152,7 @@ def test_a_simulation_goes_the_same_way_whatever_the_others_do(integrator):
         crowd.step(np.union1d(ids, [4]) if turn % 2 else np.setdiff1d(ids, [4]), 5)
         assert_array_equal(crowd.qpos[4], alone.qpos[0])
         assert_array_equal(crowd.qvel[4], alone.qvel[0])
-    assert alone.peaks().contacts > 0, "nothing touched"
-
-
-@pytest.mark.parametrize("field", FIELDS)
-@pytest.mark.parametrize("bad", [1e12, np.nan, np.inf])
-def test_only_the_simulation_that_blew_up_is_marked(field, bad):
-    rng = np.random.default_rng(5)
-    calm, spoiled = (WarpCpu(ant_model(), 4) for _ in range(2))
-    stir([calm, spoiled], rng)
-    getattr(spoiled, field)[2, 0] = bad
-    others = [0, 1, 3]
-    for _ in range(5):
-        calm.step(np.arange(4), 5)
-        spoiled.step(np.arange(4), 5)
-        spoiled.ctrl[2] = 0
-        assert_array_equal(spoiled.diverged, [False, False, True, False])
-        assert not calm.diverged.any()
-        assert np.isfinite(np.hstack([spoiled.qpos, spoiled.qvel])).all()
-        assert_array_equal(spoiled.qpos[others], calm.qpos[others])
-        assert_array_equal(spoiled.qvel[others], calm.qvel[others])
-    spoiled.reset(np.array([2]))
-    spoiled.step(np.arange(4), 5)
-    assert not spoiled.diverged.any()
+    assert alone.peaks()[0] > 0, "nothing touched"
 
 
 @pytest.mark.parametrize("field", FIELDS)
@@ -227,7 +199,7 @@ def test_a_buffer_that_is_too_small_is_told_a_size_that_does(setting, integrator
 def test_a_task_needs_no_more_than_the_default_buffers(name, spec):
     """Robots thrown at walls and blocks in MuJoCo in C, which has as many contacts as mujoco-warp."""
     model = task_model(name, spec)
-    sizes = default_sizes(model)
+    nconmax, njmax = default_sizes(model)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     contacts = rows = 0
     for _ in range(4):
@@ -237,24 +209,8 @@ def test_a_task_needs_no_more_than_the_default_buffers(name, spec):
             data.ctrl[:] = rng.uniform(-30, 30, model.nu)
             mujoco.mj_step(model, data, 5)
             contacts, rows = max(contacts, data.ncon), max(rows, data.nefc)
-    assert 2 * contacts <= sizes.nconmax
-    assert 1.2 * rows <= sizes.njmax
-
-
-@pytest.mark.parametrize("name", ["ant-gather", "point-push"])
-def test_a_task_runs_on_it(name):
-    num_episodes = 6
-    task = ENVIRONMENTS[name].make(num_episodes, TaskOptions(), WarpCpu)
-    ids, rng = np.arange(num_episodes), np.random.default_rng(0)
-    task.reset(ids, list(range(num_episodes)))
-    for step in range(30):
-        action = rng.uniform(-1, 1, (num_episodes, task.action_size)) * task.control_limit
-        task.step(ids[: 6 if step < 20 else 3], action)
-        assert np.isfinite(task.reward).all()
-        assert np.isfinite(task.observe()).all()
-        assert not task.diverged.any()
-    assert isinstance(task.sim, WarpSimulator)
-    task.sim.check_buffers()
+    assert 2 * contacts <= nconmax
+    assert 1.2 * rows <= njmax
 
 
 @pytest.mark.parametrize("name", ["point-push", "point-fall"])

@@ -1,11 +1,13 @@
 """Episodes of an agent, step by step: the same as evaluation's, with what is to be drawn; and `shes watch`."""
 
+import sys
+from types import SimpleNamespace
+
 import pytest
 
 from shes.errors import ConfigError
 from shes.runs.evaluate import evaluate
-from shes.viewing.playback import Playback
-from shes.viewing.watch import watch
+from shes.viewing.playback import Playback, watch
 
 
 def steps_of(run, checkpoint="best", episode=0, **settings):
@@ -25,14 +27,6 @@ def test_the_goal_and_a_growing_trail_are_shown(tiny_run):
     assert [len(step.markers) for step in steps[:3]] == [objects + 3, objects + 4, objects + 5]
     assert all(step.markers[-1].shape == "disc" for step in steps)
     assert steps[0].markers[-1].position == steps[1].markers[-1].position  # the goal is held
-
-
-def test_a_flat_agent_has_a_trail_but_no_goal(kinds):
-    """The last marker is the disc under the robot: there is no goal and no line to one."""
-    steps = steps_of(kinds["flat"], steps=5)
-    assert [len(step.markers) for step in steps] == [16 + 1 + trail for trail in range(6)]
-    for step in steps:
-        assert step.markers[-1].position[:2] == pytest.approx(step.pose[:2])
 
 
 def test_the_goal_of_a_primitive_alone_is_its_flag(kinds):
@@ -89,6 +83,12 @@ class BrokenViewer(FakeViewer):
         raise ConfigError("lost the screen")
 
 
+@pytest.fixture
+def screen(monkeypatch):
+    monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: True))
+
+
+@pytest.mark.usefixtures("screen")
 def test_watch_shows_episodes_until_the_window_is_closed(tiny_run, monkeypatch):
     monkeypatch.setattr("shes.drawing.window.Viewer", FakeViewer)
     watch(tiny_run)
@@ -102,6 +102,7 @@ def test_watch_shows_episodes_until_the_window_is_closed(tiny_run, monkeypatch):
         assert (num_markers, lines) == (len(first.markers), (*first.facts, *first.inputs))
 
 
+@pytest.mark.usefixtures("screen")
 def test_watch_closes_its_window_after_an_error(tiny_run, monkeypatch):
     monkeypatch.setattr("shes.drawing.window.Viewer", BrokenViewer)
     with pytest.raises(ConfigError, match="lost the screen"):

@@ -105,16 +105,6 @@ def test_repetitions_become_a_mean_with_an_interval(seeds, tmp_path, drawn):
     assert low.min() < limits[0] < values.min() < values.max() < limits[1] < high.max()
 
 
-def test_two_repetitions_are_thin_lines_with_their_mean(seeds, tmp_path, drawn):
-    plot(seeds[:2], tmp_path / "a.png", x="generation")
-    assert legend(drawn[0]) == ["point-gather smoke (2 runs)", PAIR]
-    one, two, mean = drawn[0].axes[1].lines
-    assert mean.get_xdata().tolist() == [1, 2, 3]  # where the shorter one ends
-    np.testing.assert_allclose(mean.get_ydata(), (one.get_ydata()[:3] + two.get_ydata()) / 2)
-    assert one.get_linewidth() == two.get_linewidth() < mean.get_linewidth()
-    assert len({line.get_color() for line in (one, two, mean)}) == 1
-
-
 def test_the_legend_says_what_differs_between_groups(kinds, seeds, tmp_path, drawn):
     others = [runs.train_tiny(tmp_path / str(width), sigma=0.5, hidden=(width, 4), num_workers=1) for width in (8, 16)]
     plot([seeds[0], *others], tmp_path / "a.png")
@@ -123,11 +113,6 @@ def test_the_legend_says_what_differs_between_groups(kinds, seeds, tmp_path, dra
     shutil.copytree(kinds["other"], tmp_path / "all" / "other" / "seed-1")
     plot([tmp_path / "all", tmp_path / "all"], tmp_path / "a.png")  # counted once
     assert legend(drawn[1])[:3] == ["sigma 0.07 (3 runs)", "sigma 0.5", RUNS]
-
-
-def test_a_copy_of_a_run_is_no_repetition(seeds, tmp_path, drawn):
-    plot([seeds[0], shutil.copytree(seeds[0], tmp_path / "copy")], tmp_path / "a.png")
-    assert legend(drawn[0]) == [str(seeds[0]), str(tmp_path / "copy"), EPISODES]
 
 
 def test_no_label_leaves_the_picture_or_meets_another(seeds, tmp_path, drawn):
@@ -161,13 +146,6 @@ def test_runs_of_other_levels_share_a_picture(kinds, tmp_path, drawn):
     colors = {line.get_label(): line.get_color() for line in score.lines}
     assert len(set(colors.values())) == 3
     assert all(line.get_color() == colors[line.get_label()] for axis in others for line in axis.lines)
-
-
-def test_a_curve_of_a_single_generation_is_a_dot(seeds, tmp_path, drawn):
-    plot([runs.train_tiny(tmp_path / str(seed), seed=seed, generations=1) for seed in (5, 6)], tmp_path / "a.png")
-    assert all([line.get_marker() for line in axis.lines] == ["."] * 3 for axis in drawn[0].axes)
-    plot(seeds, tmp_path / "a.png")
-    assert all(line.get_marker() != "." for line in drawn[1].axes[1].lines)
 
 
 def test_runs_that_hardly_overlap_are_drawn_each_by_itself(seeds, tmp_path, drawn):

@@ -74,11 +74,6 @@ def test_runs_are_side_by_side_each_with_its_name(kinds, run_copy, tmp_path, mon
     assert {label for label, _ in captions} == {str(first), str(other)}
 
 
-@pytest.mark.parametrize("camera", ["follow", "top"])
-def test_one_camera_is_one_view(tiny_run, tmp_path, camera):
-    assert read(render(tiny_run, tmp_path / "walk.mp4", camera=camera, steps=1, size=64)).shape[1:] == (64, 64, 3)
-
-
 def test_the_same_arguments_give_the_same_video(tiny_run, tmp_path):
     def made(**settings):
         return render(tiny_run, tmp_path / "a.mp4", steps=2, size=64, **settings).read_bytes()

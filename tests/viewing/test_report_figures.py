@@ -10,10 +10,18 @@ from shes.algorithms.contract import Explored
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.viewing.curve_figures import X_AXES, Panel, curve_figure, panels_of
 from shes.viewing.groups import group_runs, read_run
-from shes.viewing.maps import MOST_EPISODES, map_figure, play_episodes, search_figure
 from shes.viewing.playback import Playback
+from shes.viewing.report_figures import (
+    MOST_EPISODES,
+    X_AXES,
+    Panel,
+    curve_figure,
+    map_figure,
+    panels_of,
+    play_episodes,
+    search_figure,
+)
 from tests.e2e import runs
 
 RETURNS = "Returns and scores"

@@ -1,14 +1,11 @@
 """The page of a report as Chromium shows it."""
 
 import importlib.util
-import json
-import re
 
 import pytest
 
 from shes.viewing.report import report
 from tests.browser import Browser, find_browser
-from tests.viewing.report_elements import Elements
 
 pytestmark = [
     pytest.mark.extras,
@@ -53,28 +50,6 @@ def browser(tmp_path):
         yield opened
         assert opened.errors == []
         assert not [url for url in opened.requests if not url.startswith(("file:", "data:", "blob:"))]
-
-
-def test_plotly_knows_every_figure(page):
-    from plotly.graph_objects import Figure
-
-    figures = Elements(page).figures
-    assert len(figures) == 7  # curves and diagnostics of two environments, and three maps
-    for figure in figures.values():
-        Figure(json.loads(json.dumps(figure)))  # raises for a wrong name or value
-
-
-def test_values_are_shown_below_the_mouse(page, browser):
-    browser.open(page)
-    browser.evaluate(f"{FIRST}.scrollIntoView()")
-    area = f"{FIRST}.querySelector('.nsewdrag').getBoundingClientRect()"
-    browser.wait_for(f"{FIRST}.querySelector('.nsewdrag')")
-    left, top, right, bottom = browser.evaluate(
-        f"(() => {{const r = {area}; return [r.left, r.top, r.right, r.bottom]}})()"
-    )
-    browser.mouse("Moved", left + 10, (top + bottom) / 2)
-    browser.mouse("Moved", (left + right) / 2, (top + bottom) / 2)
-    assert re.search(r"\d\.\d", browser.wait_for(f"{FIRST}.querySelector('.hoverlayer').textContent"))
 
 
 def test_the_horizontal_axis_and_the_curves_can_be_chosen(page, browser):

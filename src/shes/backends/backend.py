@@ -1,33 +1,36 @@
-"""The Backend contract: an ordered map and a broadcast over workers. A backend does not know what the tasks are."""
+"""The Backend contract: an ordered map and a broadcast over workers. The serial backend is the shortest example.
+
+A backend does not know what the tasks are.
+"""
 
 from __future__ import annotations
 
+import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeAlias
 
+from threadpoolctl import threadpool_limits
+
+from shes.errors import ShesError, WorkerError
 from shes.machine import num_cores
 from shes.settings import Settings
 
 
 class TaskSource(ABC):
-    """The numbered tasks of a `map` call, from which each worker takes its own: one by one, or several by `take`."""
+    """The numbered tasks of a `map` call, from which each worker takes its own."""
 
     @abstractmethod
-    def take(self, most: int, least: int | None = None) -> Sequence[tuple[int, Any]]:
+    def take(self, most: int, least: int) -> Sequence[tuple[int, Any]]:
         """Return the next tasks, at most `most` of them; an empty sequence at the end.
 
         Near the end there are fewer, so that all workers finish at the same time, but not fewer than `least` while
-        there are any. By default `least` is `most`.
+        there are any.
         """
 
     def note_progress(self) -> None:  # noqa: B027 - a worker in the same process need not prove that it is alive
         """Show that the worker is alive. A worker whose tasks take longer than seconds calls this now and then."""
-
-    def __iter__(self) -> Iterator[tuple[int, Any]]:
-        while taken := self.take(1):
-            yield from taken
 
 
 class TaskList(TaskSource):
@@ -36,7 +39,7 @@ class TaskList(TaskSource):
     def __init__(self, numbered: Iterable[tuple[int, Any]]) -> None:
         self._left = deque(numbered)
 
-    def take(self, most: int, least: int | None = None) -> Sequence[tuple[int, Any]]:
+    def take(self, most: int, least: int) -> Sequence[tuple[int, Any]]:
         """Return the next tasks, `most` of them if there are as many."""
         return [self._left.popleft() for _ in range(min(most, len(self._left)))]
 
@@ -71,17 +74,14 @@ class Backend(ABC):
     Options: ClassVar[type[Settings]] = Settings
     """Settings of this backend. Mark each field with `Execution`: a backend never changes the numbers of a run."""
     num_workers: int = 1
-    on_event: Callable[[str], None] | None = None
-    """Receives messages about silent, lost and replaced workers, if any function is set."""
 
     @classmethod
     def all_workers(cls) -> int:
         """Return the number of workers for `--workers 0`: one for every core that this process may use."""
         return num_cores()
 
-    @staticmethod  # noqa: B027 - most need no package
-    def check_installed() -> None:
-        """Check that the packages it needs are installed; raise MissingExtraError if one is not."""
+    def on_event(self, event: str, /) -> None:  # noqa: B027 - nobody has to listen
+        """Receive a message about silent, lost and replaced workers; replaced by whoever wants to hear of them."""
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:
@@ -105,3 +105,35 @@ class Backend(ABC):
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+class SerialBackend(Backend):
+    """One worker in this process. BLAS is limited to one thread, because more threads would change rounding."""
+
+    def __init__(self, factory: WorkerFactory, num_workers: int = 1) -> None:
+        """Create the worker. `num_workers` is ignored."""
+        self._worker = factory()
+
+    def broadcast(self, state: Any) -> None:
+        """Send `state` to the worker."""
+        self._worker.receive(state)
+
+    def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
+        """Yield the result of every task, in order."""
+        results: dict[int, Any] = {}
+        next_number = 0
+        with threadpool_limits(1):
+            try:
+                for number, result in self._worker.run(TaskList(enumerate(tasks)), max(1, len(tasks))):
+                    results[number] = result
+                    while next_number in results:
+                        yield results.pop(next_number)
+                        next_number += 1
+            except ShesError:
+                raise
+            except Exception as error:
+                raise WorkerError(f"the worker failed:\n{traceback.format_exc()}") from error
+
+    def close(self) -> None:
+        """Close the worker."""
+        self._worker.close()

@@ -13,8 +13,8 @@ from types import ModuleType
 from typing import Any
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.serving import ClosedError, pickle_factory, serve, use_one_thread
-from shes.backends.supervision import REPORTED_S, RemoteWorker, SupervisingBackend
+from shes.backends.serving import Answer, ClosedError, ParentConnection, pickle_factory, serve, use_one_thread
+from shes.backends.supervision import RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError, WorkerError
 
 _TAG = 4021  # of all messages of this backend
@@ -26,6 +26,8 @@ _HELD: list[MpiBackend] = []  # the backend that has the ranks, if any
 
 class MpiBackend(SupervisingBackend):
     """One worker per MPI rank except the first; --workers sets only how many threads compute the gradient."""
+
+    silence_limit_s = None
 
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Start a worker in every rank but this one; raise ConfigError or MissingExtraError if that is impossible."""
@@ -43,15 +45,10 @@ class MpiBackend(SupervisingBackend):
                 f"--backend mpi needs ranks for its workers, and there are {self._comm.Get_size() - 1}. Start the "
                 "program under mpiexec or srun: mpiexec -n 3 python -m mpi4py.futures -m shes train ... --backend mpi."
             )
-        super().__init__(self._comm.Get_size() - 1, None)
+        super().__init__(self._comm.Get_size() - 1)
         self._pool: Any = None
         self._served: list[Any] = []  # one future for every rank
         self.start_workers()
-
-    @staticmethod
-    def check_installed() -> None:
-        """Check that mpi4py and an MPI library are installed; see the base class."""
-        _import_mpi()
 
     def start_workers(self) -> None:
         """Begin to serve in all ranks, unless they do; raise ConfigError if another backend has the ranks."""
@@ -62,8 +59,7 @@ class MpiBackend(SupervisingBackend):
         _HELD.append(self)
         self._pool = self._futures.MPIPoolExecutor(main=False, backoff=_NAP_OF_POOL_S)
         self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
-        for rank in range(1, self._comm.Get_size()):
-            self.add_worker(_Rank(self._comm, rank))
+        self.workers += [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to all ranks along a tree; raise WorkerError if a rank has failed to start."""
@@ -75,11 +71,8 @@ class MpiBackend(SupervisingBackend):
         for worker in self.workers:
             worker.state = self._state
             worker.answer(("broadcast", len(self._state)))
-        request, report_s = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0), monotonic() + REPORTED_S
+        request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
         while not request.Test():
-            if monotonic() >= report_s:
-                report_s += REPORTED_S
-                self.tell("the state has not reached every MPI rank yet; the run waits")
             sleep(_SHORTEST_NAP_S)
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -121,17 +114,12 @@ class MpiBackend(SupervisingBackend):
             self._pool = None
             _HELD.remove(self)
 
-    def is_awaited(self, worker: RemoteWorker) -> bool:
-        """Return whether the worker is not idle: all ranks receive a broadcast together."""
-        return not worker.is_idle
-
 
 class _Rank(RemoteWorker):
     """A rank as the main process sees it."""
 
     def __init__(self, comm: Any, rank: int) -> None:
-        super().__init__()
-        self.name = f"rank {rank}"
+        super().__init__(f"rank {rank}")
         self.inbox: list[tuple[Any, ...]] = []
         self._comm, self._rank = comm, rank
         self._sent: list[Any] = []  # MPI's requests of messages on their way
@@ -148,7 +136,7 @@ class _Rank(RemoteWorker):
         self.answer(("close",))
 
 
-class _Parent:
+class _Parent(ParentConnection):
     """The connection of a rank to the main process."""
 
     def __init__(self, mpi: ModuleType) -> None:
@@ -159,8 +147,7 @@ class _Parent:
         self.check()
         self._comm.send(request, dest=0, tag=_TAG)
 
-    def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
-        self.tell(*request)
+    def receive(self) -> Answer:
         message, state = self._receive()
         while message[0] == "broadcast":
             buffer = bytearray(message[1])
@@ -172,7 +159,7 @@ class _Parent:
         if self._comm.Iprobe(source=0, tag=_TAG):
             self._receive()  # while the rank works, there is no other message than the last one
 
-    def _receive(self) -> tuple[tuple[Any, ...], bytes | None]:
+    def _receive(self) -> Answer:
         nap_s = _SHORTEST_NAP_S
         while not self._comm.Iprobe(source=0, tag=_TAG):
             sleep(nap_s)

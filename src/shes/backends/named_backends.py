@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from shes.backends.backend import Backend
+from shes.backends.backend import Backend, SerialBackend
 from shes.backends.mpi import MpiBackend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.ray import RayBackend
-from shes.backends.serial import SerialBackend
 from shes.options import subclass_of
 from shes.registry import Registry
 

@@ -1,17 +1,22 @@
-"""The processes backend: worker processes on this machine.
+"""The processes backend: worker processes on this machine, `python -m shes.backends.processes FD PARENT`.
 
 `ProcessPoolExecutor` is not used, because it breaks as a whole when one worker is killed, and outlives a killed parent.
-Workers are started as a module, so a caller's script needs no `__main__` guard.
+A worker dies with its parent: Linux sends it a signal, and elsewhere a thread notices it. Workers are started as a
+module, so a caller's script needs no `__main__` guard.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import threading
+import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
@@ -19,48 +24,39 @@ from selectors import EVENT_READ, EVENT_WRITE, BaseSelector, DefaultSelector
 from typing import Any
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.process_worker import FRAME
-from shes.backends.serving import ONE_THREAD, import_path, pickle_factory
-from shes.backends.supervision import REPLACED_S, RemoteWorker, SupervisingBackend
+from shes.backends.serving import ONE_THREAD, Answer, ClosedError, ParentConnection, import_path, pickle_factory, serve
+from shes.backends.supervision import RemoteWorker, SupervisingBackend
 from shes.errors import WorkerError
 
+_FRAME = struct.Struct("!QQ")  # lengths of a message and of the pickled state after it
 _READ_BYTES = 2**20
 _END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
+_PR_SET_PDEATHSIG = 1
+_WATCH_S = 0.5
 
 
 class ProcessesBackend(SupervisingBackend):
     """Worker processes on this machine, each with one thread. A lost or silent one is replaced."""
 
-    def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_timeout_s: float = REPLACED_S) -> None:
-        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles.
-
-        One without a sign of life for `worker_timeout_s` seconds is replaced.
-        """
-        super().__init__(num_workers, worker_timeout_s)
+    def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
+        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
+        super().__init__(num_workers)
         self._factory = pickle_factory(factory)
         self._import_path = os.pathsep.join(import_path())
         self._selector = DefaultSelector()  # of the workers' sockets: asking each in turn would take too long
         self.start_workers()
 
-    def pids(self) -> list[int]:
-        """Return the process ids of the workers."""
-        return [worker.popen.pid for worker in self.workers]
-
     def start_workers(self) -> None:
         """Start the processes that are missing; raise WorkerError if the system does not allow as many."""
         try:
             while len(self.workers) < self.num_workers:
-                self.add_worker(self.start_worker())
+                self.workers.append(_WorkerProcess(self._factory, self._import_path, self._selector))
         except OSError as error:
             self.close()
             raise WorkerError(
                 f"not all of the {self.num_workers} worker processes could be started: {error.strerror or error}. "
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
-
-    def start_worker(self) -> RemoteWorker:
-        """Start a worker; a subclass may prepare it."""
-        return _WorkerProcess(self._factory, self._import_path, self._selector)
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests; return the workers whose sockets have some, or are closed."""
@@ -81,15 +77,14 @@ class _WorkerProcess(RemoteWorker):
     """A worker process as its parent sees it. The socket never blocks: a stopped worker does not read, nor write."""
 
     def __init__(self, factory: bytes, import_path: str, selector: BaseSelector) -> None:
-        super().__init__()
         self._socket, theirs = socket.socketpair()
         # -P: a file in the working directory must not replace a module of the standard library.
-        module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
+        command = [sys.executable, "-P", "-m", "shes.backends.processes", str(theirs.fileno()), str(os.getpid())]
         # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            self.popen = subprocess.Popen(
-                [*module, str(theirs.fileno()), str(os.getpid())],
+            self._popen = subprocess.Popen(
+                command,
                 pass_fds=[theirs.fileno()],
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": import_path},
                 stdin=subprocess.DEVNULL,
@@ -100,7 +95,7 @@ class _WorkerProcess(RemoteWorker):
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             theirs.close()
-        self.name = str(self.popen.pid)
+        super().__init__(str(self._popen.pid))
         self._incoming = bytearray()
         self._outgoing: deque[memoryview] = deque()
         self._selector = selector
@@ -112,7 +107,7 @@ class _WorkerProcess(RemoteWorker):
         self._send(pickle.dumps(message, pickle.HIGHEST_PROTOCOL), state or b"")
 
     def _send(self, message: bytes, state: bytes = b"") -> None:
-        frame = FRAME.pack(len(message), len(state)) + message
+        frame = _FRAME.pack(len(message), len(state)) + message
         self._outgoing += [memoryview(part) for part in (frame, state) if part]
         self.flush()
 
@@ -133,27 +128,99 @@ class _WorkerProcess(RemoteWorker):
                 raise EOFError
             self._incoming += read
         found: list[tuple[Any, ...]] = []
-        while len(self._incoming) >= FRAME.size:
-            end = FRAME.size + FRAME.unpack_from(self._incoming)[0]
+        while len(self._incoming) >= _FRAME.size:
+            end = _FRAME.size + _FRAME.unpack_from(self._incoming)[0]
             if len(self._incoming) < end:
                 break
-            found.append(pickle.loads(self._incoming[FRAME.size : end]))
+            found.append(pickle.loads(self._incoming[_FRAME.size : end]))
             del self._incoming[:end]
         return found
 
     def stop(self) -> None:
-        self.popen.terminate()
-        self.popen.send_signal(signal.SIGCONT)
+        self._popen.terminate()
+        self._popen.send_signal(signal.SIGCONT)
 
     def has_stopped(self) -> bool:
-        return self.popen.poll() is not None
+        return self._popen.poll() is not None
 
     def end(self) -> str:
         """Kill the process, even if it has been stopped, and wait for its end; return its signal or exit code."""
-        self.popen.kill()
+        self._popen.kill()
         self._selector.unregister(self._socket)
         self._socket.close()
         with suppress(subprocess.TimeoutExpired):
-            self.popen.wait(_END_S)
+            self._popen.wait(_END_S)
         names = {-each.value: f"killed by {each.name}" for each in signal.Signals}
-        return names.get(self.popen.returncode, f"exit code {self.popen.returncode}")
+        return names.get(self._popen.returncode, f"exit code {self._popen.returncode}")
+
+
+class _Parent(ParentConnection):
+    """The connection of a worker process to its parent, which closes it by SIGTERM."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self._reader = connection.makefile("rb")
+
+    def tell(self, *request: Any) -> None:
+        message = pickle.dumps(request, pickle.HIGHEST_PROTOCOL)
+        try:
+            self._socket.sendall(_FRAME.pack(len(message), 0) + message)
+        except OSError as error:
+            raise ClosedError from error
+
+    def receive(self) -> Answer:
+        message, state = self.receive_bytes()
+        return pickle.loads(message), state or None
+
+    def receive_bytes(self) -> tuple[bytes, bytes]:
+        message_size, state_size = _FRAME.unpack(self._read(_FRAME.size))
+        return self._read(message_size), self._read(state_size)
+
+    def _read(self, size: int) -> bytes:
+        try:
+            found = self._reader.read(size)
+        except OSError as error:
+            raise ClosedError from error
+        if len(found) < size:
+            raise ClosedError
+        return found
+
+    def leave(self) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
+def _die_with(parent: int) -> None:
+    """End this process when process `parent` ends."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_S)
+        os._exit(1)
+
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(1)
+    else:
+        threading.Thread(target=watch, daemon=True).start()
+
+
+def _raise_closed(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise ClosedError
+
+
+def main() -> None:
+    """Serve the parent: the file descriptor of the connection and its process id are on the command line."""
+    descriptor, parent = (int(argument) for argument in sys.argv[1:3])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the parent decides
+    _die_with(parent)
+    connection = _Parent(socket.socket(fileno=descriptor))
+    with suppress(ClosedError):
+        signal.signal(signal.SIGTERM, _raise_closed)
+        factory, _ = connection.receive_bytes()
+        serve(connection, factory)
+
+
+if __name__ == "__main__":
+    main()

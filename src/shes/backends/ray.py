@@ -20,13 +20,20 @@ from types import ModuleType
 from typing import Any
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.serving import ClosedError, import_path, pickle_factory, serve, use_one_thread
+from shes.backends.serving import (
+    Answer,
+    ClosedError,
+    ParentConnection,
+    import_path,
+    pickle_factory,
+    serve,
+    use_one_thread,
+)
 from shes.backends.supervision import CLOSE_S, REPORTED_S, RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError
 from shes.machine import num_cores
 
 _ANSWER_S = 10.0  # wait for the head node of a cluster
-_LOOK_S = 1.0  # between two looks for nodes that have joined
 
 
 class RayBackend(SupervisingBackend):
@@ -46,17 +53,11 @@ class RayBackend(SupervisingBackend):
         self._stored: dict[bytes, Any] = {}  # references to the factory and the state in the object store
         self.ready: SimpleQueue[RemoteWorker] = SimpleQueue()
         """Workers that have sent a request or are gone. Ray's threads fill it."""
-        self._looked_at = 0.0
         self._waits_since = monotonic()  # for a worker to start
         # Ray's head node would keep a record of every call, 3 kB each for the last 100,000.
         options = {"num_cpus": 1, "max_restarts": 0, "max_concurrency": 2, "enable_task_events": False}
         self._actor = self._ray.remote(**options)(_RayActor)
         self.start_workers()
-
-    @staticmethod
-    def check_installed() -> None:
-        """Check that Ray is installed; see the base class."""
-        _import_ray()
 
     @classmethod
     def all_workers(cls) -> int:
@@ -83,22 +84,23 @@ class RayBackend(SupervisingBackend):
         if not self._ray.is_initialized():
             _join(self._ray)
             self._has_joined = True
-        self._looked_at = monotonic()
-        self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
+        self.num_workers = self._num_cpus()
         while len(self.workers) < self.num_workers:
             actor = self._actor.options(scheduling_strategy="SPREAD").remote(self.store(self._factory), import_path())
-            self.add_worker(_RayWorker(self, self._ray, actor))
+            self.workers.append(_RayWorker(self, self._ray, actor))
+
+    def _num_cpus(self) -> int:
+        return max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
 
     def look_around(self) -> None:
-        """Now and then, use the nodes that have joined the cluster. Tell of one that has no CPU for any worker."""
-        if monotonic() >= self._looked_at + _LOOK_S:
-            self._looked_at = monotonic()
-            self.restart_workers()
+        """Use the nodes that have joined the cluster. Tell of one that has no CPU for any worker."""
+        if self._num_cpus() > self.num_workers:
+            self.start_workers()
         if any(worker.is_started for worker in self.workers):
             self._waits_since = monotonic()
         elif monotonic() >= self._waits_since + REPORTED_S:
             self._waits_since = monotonic()
-            self.tell("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
+            self.on_event("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests; return the workers that have sent some, or are gone."""
@@ -117,11 +119,8 @@ class RayBackend(SupervisingBackend):
 class _RayWorker(RemoteWorker):
     """An actor as its parent sees it."""
 
-    name = "that has not started"
-
     def __init__(self, backend: RayBackend, ray: ModuleType, actor: Any) -> None:
-        super().__init__()
-        self.is_started = False
+        super().__init__("that has not started", is_started=False)
         self._backend, self._ray, self._actor = backend, ray, actor
         self._stop: Any = None
         self._call(None, None)
@@ -158,14 +157,14 @@ class _RayWorker(RemoteWorker):
         return ""
 
 
-class _RayActor:
+class _RayActor(ParentConnection):
     """A worker's process: a thread does the tasks, for which this is the connection, while calls bring answers."""
 
     def __init__(self, factory: bytes, path: list[str]) -> None:
         use_one_thread()
         sys.path += [entry for entry in path if entry not in sys.path]
         self._name = f"{os.getpid()} on {socket.gethostname()}"
-        self._answers: SimpleQueue[tuple[tuple[Any, ...], bytes | None]] = SimpleQueue()
+        self._answers: SimpleQueue[Answer] = SimpleQueue()
         self._requests: SimpleQueue[bytes] = SimpleQueue()
         self._is_closed = False
         self._thread = Thread(target=serve, args=(self, factory), name="shes-worker", daemon=True)
@@ -182,8 +181,7 @@ class _RayActor:
         self._answers.put(((), None))
         self._thread.join(CLOSE_S)
 
-    def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
-        self.tell(*request)
+    def receive(self) -> Answer:
         answer = self._answers.get()
         self.check()
         return answer
@@ -194,9 +192,6 @@ class _RayActor:
     def check(self) -> None:
         if self._is_closed:
             raise ClosedError
-
-    def leave(self) -> None:
-        pass
 
 
 def _import_ray() -> ModuleType:

@@ -17,11 +17,12 @@ import os
 import pickle
 import sys
 import traceback
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import cloudpickle
 import numpy as np
@@ -36,26 +37,29 @@ ONE_THREAD: dict[str, str] = dict.fromkeys(
 """Environment variables by which linear algebra has one thread. More threads would change rounding."""
 RESULTS_WAIT_S, LONGEST_SILENCE_S = 1.0, 10.0
 """Seconds since its last request after which a worker sends a result, or only its progress, in a request of its own."""
+Answer: TypeAlias = tuple[tuple[Any, ...], bytes | None]
+"""An answer of the parent, and the pickled state that comes with it."""
 
 
 class ClosedError(BaseException):
     """The parent has closed the connection. Not an Exception, so that an environment does not catch it."""
 
 
-class ParentConnection(Protocol):
+class ParentConnection(ABC):
     """A connection to the parent. Every method but `leave` raises ClosedError if the parent has closed it."""
 
-    def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
-        """Send a request; return the answer and the pickled state that comes with it."""
-        ...
-
+    @abstractmethod
     def tell(self, *request: Any) -> None:
-        """Send a request that has no answer."""
+        """Send a request."""
 
-    def check(self) -> None:
-        """Do nothing, unless the parent has closed the connection."""
+    @abstractmethod
+    def receive(self) -> Answer:
+        """Wait for the answer to a request."""
 
-    def leave(self) -> None:
+    def check(self) -> None:  # noqa: B027 - a signal may close the connection
+        """Do nothing, unless the parent has closed it."""
+
+    def leave(self) -> None:  # noqa: B027 - of most there is nothing to ignore
         """Ignore the parent from now on: the worker is about to end."""
 
 
@@ -66,19 +70,20 @@ def use_one_thread() -> None:
     threadpool_limits(1)
 
 
-def serve(parent: ParentConnection, factory: bytes) -> None:
+def serve(parent: ParentConnection, factory: bytes, clock: Callable[[], float] = monotonic) -> None:
     """Make the worker by the pickled `factory`, do the parent's tasks until it closes the connection, and close it."""
     worker: Worker | None = None
     try:
-        worker = unpickle_factory(factory)()
-        run = _Run(parent)
+        worker = _unpickle_factory(factory)()
+        run = _Run(parent, clock)
         while True:
             (_, share), state = run.ask("ready")
             if state is not None:
                 worker.receive(pickle.loads(state))
             run.is_over = False
             for numbered in worker.run(run, share):
-                run.keep(numbered)
+                run.kept.append(numbered)
+                run.note_progress()
     except ClosedError:
         pass
     except BaseException as error:  # noqa: BLE001 - the parent must be told of any error
@@ -96,35 +101,31 @@ def serve(parent: ParentConnection, factory: bytes) -> None:
 class _Run(TaskSource):
     """The tasks that the parent sends when asked, and the results that it has not been sent yet."""
 
-    def __init__(self, parent: ParentConnection) -> None:
-        self._parent = parent
+    def __init__(self, parent: ParentConnection, clock: Callable[[], float]) -> None:
+        self._parent, self._clock = parent, clock
         self.is_over = False
-        self._kept: list[tuple[int, Any]] = []
-        self._sent_s = monotonic()
+        self.kept: list[tuple[int, Any]] = []
+        self._sent_s = clock()
 
-    def ask(self, kind: str, *content: Any) -> tuple[tuple[Any, ...], bytes | None]:
+    def ask(self, kind: str, *content: Any) -> Answer:
         """Send a request, and in it the results that are kept; return the answer."""
-        answer = self._parent.ask(kind, self._kept, *content)
-        self._kept = []
-        self._sent_s = monotonic()
+        self._parent.tell(kind, self.kept, *content)
+        answer = self._parent.receive()
+        self.kept = []
+        self._sent_s = self._clock()
         return answer
-
-    def keep(self, numbered: tuple[int, Any]) -> None:
-        """Keep a numbered result for the next request."""
-        self._kept.append(numbered)
-        self.note_progress()
 
     def note_progress(self) -> None:
         """Send the results that are kept, or only a sign of life, if the last request was long ago."""
         self._parent.check()
-        if monotonic() >= self._sent_s + (RESULTS_WAIT_S if self._kept else LONGEST_SILENCE_S):
+        if self._clock() >= self._sent_s + (RESULTS_WAIT_S if self.kept else LONGEST_SILENCE_S):
             self.ask("results")
 
-    def take(self, most: int, least: int | None = None) -> Sequence[tuple[int, Any]]:
+    def take(self, most: int, least: int) -> Sequence[tuple[int, Any]]:
         """Ask the parent for tasks."""
         if self.is_over:
             return ()
-        (_, given), _ = self.ask("want", most, most if least is None else least)
+        (_, given), _ = self.ask("want", most, least)
         self.is_over = not given
         return given
 
@@ -140,8 +141,7 @@ def pickle_factory(factory: WorkerFactory) -> bytes:
         ) from error
 
 
-def unpickle_factory(pickled: bytes) -> WorkerFactory:
-    """Return the function that creates the worker; raise WorkerError if a module that it needs cannot be imported."""
+def _unpickle_factory(pickled: bytes) -> WorkerFactory:
     try:
         return pickle.loads(pickled)
     except (ImportError, AttributeError) as error:

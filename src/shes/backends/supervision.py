@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from textwrap import shorten
 from time import monotonic, sleep
 from typing import Any
@@ -21,30 +21,25 @@ MAX_LOSSES = 3
 """The run ends when so many workers were lost with the same task, or so many per worker in a row without a result."""
 REPORTED_S = 60.0
 """Seconds without a sign of life after which a worker is reported; less if it is replaced sooner."""
-REPLACED_S = 600.0
-"""Seconds without a sign of life after which a worker is replaced."""
-RESTART_S = 10.0
-"""Pause before workers are started again if one has failed to start while others work."""
 CLOSE_S = 5.0
 """Seconds that workers have to close their environments before they are killed."""
 _TICK_S = 1.0
-_MOST_LETTERS = 300  # of a task in a message
+_MOST_LETTERS = 60  # of a task in a message
 
 
 class RemoteWorker(ABC):
-    """A worker in another process as its parent sees it. A subclass sets its `name` in messages."""
+    """A worker in another process as its parent sees it."""
 
-    name: str
-
-    def __init__(self) -> None:
-        """Begin without tasks."""
-        self.is_started = True  # if not, it waits for a core of the cluster
+    def __init__(self, name: str, *, is_started: bool = True) -> None:
+        """Begin without tasks. `name` is for messages."""
+        self.name = name
+        self.is_started = is_started  # if not, it waits for a core of the cluster
         self.is_ready = False  # it has sent a request
         self.is_idle = False  # it waits for tasks: its last request has no answer yet
         self.is_expected = False  # it has been told of tasks, and has not asked for any yet
         self.tasks: dict[int, None] = {}  # numbers of the tasks that it has, in the order they were given
         self.state: bytes | None = None  # the state that it has
-        self.heard_s = 0.0  # time of its last request, on the clock of the backend
+        self.silent_s = 0.0  # time since its last request
         self.is_reported = False  # the user has been told of its silence
 
     @abstractmethod
@@ -71,17 +66,18 @@ class RemoteWorker(ABC):
 class SupervisingBackend(Backend):
     """Workers in other processes, which ask for tasks.
 
-    A subclass fills `workers` by `add_worker` in `start_workers`, which its constructor calls.
+    A subclass appends to `workers` in `start_workers`, which its constructor calls.
     """
 
-    def __init__(self, num_workers: int, worker_timeout_s: float | None = REPLACED_S) -> None:
-        """Begin without workers; a worker without a sign of life for `worker_timeout_s` is replaced, or never."""
-        self.num_workers, self.worker_timeout_s = num_workers, worker_timeout_s
+    silence_limit_s: float | None = 600.0
+    """Seconds without a sign of life after which a worker is replaced; None for never."""
+
+    def __init__(self, num_workers: int) -> None:
+        """Begin without workers."""
+        self.num_workers = num_workers
+        self.clock: Callable[[], float] = monotonic
         self.workers: list[Any] = []
         """The workers that are not known to be gone."""
-        self._clock_s = 0.0  # how long this process has waited for requests
-        self._judged_s = 0.0  # when silent workers were last looked for
-        self._restart_at_s = 0.0  # on that clock: when workers may be started again
         self._losses_in_a_row = 0
         self._most_workers = 0  # a cluster that has lost a node has fewer
         self._state: bytes | None = None
@@ -89,7 +85,7 @@ class SupervisingBackend(Backend):
 
     @abstractmethod
     def start_workers(self) -> None:
-        """Start the workers that are missing from `workers`."""
+        """Start the workers that are missing from `workers`: at the start of a `map`, and after a loss."""
 
     @abstractmethod
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -100,7 +96,7 @@ class SupervisingBackend(Backend):
         return "--backend serial does the same work in this process."
 
     def look_around(self) -> None:
-        """Do what is due between requests; called at least once a second while there are tasks."""
+        """Do what is due between requests; called once a second while there are tasks."""
 
     def broadcast(self, state: Any) -> None:
         """Keep `state` for every worker that is given tasks from now on."""
@@ -111,7 +107,7 @@ class SupervisingBackend(Backend):
         self._begin_map(tasks)
         is_finished, next_number = False, 0
         try:
-            self.restart_workers()
+            self.start_workers()
             self._engage()
             while next_number < len(tasks):
                 self.serve_requests()
@@ -143,26 +139,12 @@ class SupervisingBackend(Backend):
             for worker in workers:
                 worker.end()
 
-    def add_worker(self, worker: RemoteWorker) -> None:
-        """Add a worker that has been started."""
-        worker.heard_s = self._clock_s
-        self.workers.append(worker)
-
-    def restart_workers(self) -> None:
-        """Start the workers that are missing, but not soon after one has failed to start while others work."""
-        if self._clock_s >= self._restart_at_s or not self.workers:
-            self.start_workers()
-
-    def tell(self, event: str) -> None:
-        """Tell the user of an event, if anyone listens; see `on_event`."""
-        if self.on_event is not None:
-            self.on_event(event)
-
     def _begin_map(self, tasks: Sequence[Any]) -> None:
         self._tasks = tasks
         self._left = deque(range(len(tasks)))
         self._results: dict[int, Any] = {}
         self._losses: Counter[int] = Counter()  # workers that were lost with each task
+        self._waited_s = 0.0  # for requests, since silent workers were last looked for
 
     def _engage(self) -> None:
         """Tell idle workers of the tasks, as long as those that will ask for the first time leave some for others.
@@ -175,17 +157,17 @@ class SupervisingBackend(Backend):
             if not self._left or (not self._losses and len(self._left) <= expected * share):
                 return
             if worker.is_idle:
-                worker.is_idle, worker.is_expected, worker.heard_s = False, True, self._clock_s
+                worker.is_idle, worker.is_expected, worker.silent_s = False, True, 0.0
                 state, worker.state = None if worker.state is self._state else self._state, self._state
                 worker.answer(("run", share), state)
                 expected += 1
 
     def serve_requests(self) -> None:
         """Wait for requests and answer them. Replace workers that are gone or have been silent for too long."""
-        start, tick_s = monotonic(), min(_TICK_S, (self.worker_timeout_s or REPORTED_S) / 4)
+        start_s, tick_s = self.clock(), min(_TICK_S, (self.silence_limit_s or REPORTED_S) / 4)
         ready = self.wait(tick_s)
         # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
-        self._clock_s += min(monotonic() - start, tick_s)
+        self._waited_s += min(self.clock() - start_s, tick_s)
         for worker in ready:
             if worker not in self.workers:  # it has been replaced meanwhile
                 continue
@@ -194,16 +176,15 @@ class SupervisingBackend(Backend):
             except (EOFError, OSError) as error:
                 self._replace(worker, str(error))
             else:
-                worker.heard_s, worker.is_reported = self._clock_s, False
+                worker.silent_s, worker.is_reported = 0.0, False
                 for request in requests:
                     self._handle(worker, *request)
-        if self._clock_s >= self._judged_s + tick_s:
-            self._judged_s = self._clock_s
+        if self._waited_s >= tick_s:
+            waited_s, self._waited_s = self._waited_s, 0.0
             for worker in [each for each in self.workers if each.is_started and not each.is_idle]:
+                worker.silent_s += waited_s
                 self._judge_silence(worker)
-            if len(self.workers) < self.num_workers:
-                self.restart_workers()
-        self.look_around()
+            self.look_around()
 
     def _handle(self, worker: RemoteWorker, kind: str, *content: Any) -> None:
         """Handle a request; see `shes.backends.serving`."""
@@ -236,7 +217,7 @@ class SupervisingBackend(Backend):
     def _failure(self, worker: RemoteWorker, error: bytes | None, text: str) -> Exception:
         """Return the error that a worker has raised, with its traceback in the cause."""
         if error is None:
-            at_work = ", ".join(map(self._task_text, list(worker.tasks)[:3])) or "nothing yet"
+            at_work = "; ".join(map(self._task_text, list(worker.tasks)[:3])) or "nothing yet"
             return WorkerError(f"a worker failed while at work on {at_work}:\n{text}")
         found: Exception = pickle.loads(error)
         found.__cause__ = WorkerError(f"in a worker:\n{text}")
@@ -244,44 +225,41 @@ class SupervisingBackend(Backend):
 
     def _judge_silence(self, worker: RemoteWorker) -> None:
         """Report a worker that has been silent for long, or replace it."""
-        silent_s, limit_s = self._clock_s - worker.heard_s, self.worker_timeout_s
+        silent_s, limit_s = worker.silent_s, self.silence_limit_s
         if limit_s is not None and silent_s >= limit_s:
-            self._replace(worker, is_silent=True)
-        elif not worker.is_reported and silent_s >= min(REPORTED_S, (limit_s or REPORTED_S) / 2):
+            self._replace(worker, f"no answer for {silent_s:.0f} s", is_silent=True)
+        elif not worker.is_reported and silent_s >= min(REPORTED_S, (limit_s or 2 * REPORTED_S) / 2):
             worker.is_reported = True
             end = "never replaced" if limit_s is None else f"replaced after {limit_s:g} s"
-            self.tell(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
+            self.on_event(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
 
-    def _replace(self, worker: RemoteWorker, ending: str = "", *, is_silent: bool = False) -> None:
-        """Replace a worker that is gone or silent, and hand out its tasks before all others."""
+    def _replace(self, worker: RemoteWorker, fault: str, *, is_silent: bool = False) -> None:
+        """Replace a worker that is gone or silent, and hand out its tasks before all others.
+
+        Raise WorkerError if too many workers were lost with the same task, or in a row.
+        """
         self._most_workers = max(self._most_workers, len(self.workers))
         self.workers.remove(worker)
-        ending = worker.end() or ending
+        # One that fails to start while others work is started again with the next `map`: its node may lack something.
+        counts = worker.is_ready or not any(other.is_ready for other in self.workers)
+        self._losses_in_a_row += counts
+        how = worker.end()
+        ending = f"was ended ({fault})" if is_silent else f"died ({how or fault})"
         lost = list(worker.tasks)
         self._left.extendleft(reversed(lost))
         self._losses.update(lost)
-        if worker.is_ready or not any(other.is_ready for other in self.workers):
-            self._losses_in_a_row += 1
-        else:  # on a node that lacks something, maybe: the others work on
-            self._restart_at_s = self._clock_s + RESTART_S
-        cause = f"no answer for {self._clock_s - worker.heard_s:.0f} s" if is_silent else ending
-        end = "was ended" if is_silent else "died"
-        self.tell(f"worker {worker.name} {end} ({cause}); {len(lost)} tasks are done again")
-        self._check_losses(lost, f"giving {cause}" if is_silent else f"dying ({cause})", is_silent=is_silent)
-        self.restart_workers()
+        self.on_event(f"worker {worker.name} {ending}; {len(lost)} tasks are done again")
+        poison = next((number for number in lost if self._losses[number] >= MAX_LOSSES), None)
+        if poison is not None or self._losses_in_a_row >= MAX_LOSSES * self._most_workers:
+            when = "without a result" if poison is None else f"on {self._task_text(poison)}"
+            advice = "If a step takes so long, use --backend serial." if is_silent else self.advice(ending)
+            kept = "Everything up to the last checkpoint is kept."
+            raise WorkerError(f"workers keep dying {when}; the last one {ending}. {advice} {kept}")
+        if counts:
+            self.start_workers()
         self._engage()
 
-    def _check_losses(self, lost: Sequence[int], fault: str, *, is_silent: bool) -> None:
-        """Raise WorkerError if too many workers were lost with the same task, or in a row."""
-        task = next((number for number in lost if self._losses[number] >= MAX_LOSSES), None)
-        if task is None and self._losses_in_a_row < MAX_LOSSES * self._most_workers:
-            return
-        what = "at once" if task is None else f"on the same task, {self._task_text(task)}"
-        advice = "If a step takes so long, use --backend serial." if is_silent else self.advice(fault)
-        error = WorkerError(f"workers keep {fault} {what}. {advice} Everything up to the last checkpoint is kept.")
-        error.task = task
-        raise error
-
     def _task_text(self, number: int) -> str:
-        """Return a task in words, without large arrays."""
-        return shorten(repr(self._tasks[number]), _MOST_LETTERS, placeholder=" ...")
+        """Return the number of a task and, briefly, what it is."""
+        what = shorten(repr(self._tasks[number]), _MOST_LETTERS, placeholder=" ...")
+        return f"task {number + 1} of {len(self._tasks)}, {what}"

@@ -1,7 +1,7 @@
 """Settings of HIRO and of flat TD3, and their values in presets.
 
 Source: Nachum et al. 2018 (HIRO), its published code, and Fujimoto et al. 2018 (TD3); SHES paper, Table I. The presets
-`hiro-paper` and `hiro-table1` have the published values, with the exceptions in `docs/differences.md`.
+`hiro-paper` and `hiro-table1` have the published values, with the exceptions in `docs/hiro.md`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from shes.algorithms.contract import Preset
-from shes.envs.builtin import BUILTIN_ENVIRONMENTS
+from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.es.statistics import CLIP
 from shes.settings import Example, Ge, Gt, Le, Lt, Settings, Shown
 from shes.types import F64Array
@@ -118,7 +118,7 @@ HIRO_PRESETS: Mapping[str, Preset] = {
     # Training episodes are as long as evaluation episodes, because policies observe the time.
     "laptop": Preset(values={"horizon": 500}),
     "smoke": Preset(values={"warmup_steps": 1000, "generation_steps": 500}),
-    # The values of the HIRO paper and, where it says nothing, of its code; docs/differences.md has the exceptions.
+    # The values of the HIRO paper and, where it says nothing, of its code; docs/hiro.md has the exceptions.
     "hiro-paper": Preset(
         values=_HIRO,
         per_environment={env: {"spec": "hiro", **_NOISE.get(env, {})} for env in BUILTIN_ENVIRONMENTS} | _SMALL_MAZE,

@@ -6,15 +6,15 @@ import statistics
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
-from shes.backends.serial import SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.checked import checked
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
@@ -28,7 +28,6 @@ from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_limits
 from shes.runs.make_config import make_config
-from shes.runs.named_algorithms import ALGORITHMS
 from shes.settings import Ge
 from shes.sim.cpu import CpuSimulator
 from shes.types import F64Array, IntArray
@@ -54,9 +53,6 @@ def bench(
         settings: Settings of `shes.train` by name.
         env: Environment, see shes envs.
         seconds: Minimum duration of the measurement. On a shared machine a long one is more precise.
-
-    Raises:
-        ConfigError: An argument or a setting is out of range, or `bench_rollout` raised it.
     """
     return facts_listing(bench_rollout(make_config(env, settings.pop("preset", "laptop"), settings), seconds=seconds))
 
@@ -71,10 +67,6 @@ def bench_rollout(
     speeds are medians, and `ratio` is the median of the ratios divided by the number of workers. A single worker runs
     on the core of the loop, because on a shared machine the speeds of two cores may differ by a third. There are at
     least `repeats` generations, for `seconds` or longer.
-
-    Raises:
-        ConfigError: The environment has its own physics, the algorithm is not an evolution strategy, or the memory
-            does not suffice.
     """
     if find_environment(config.run.env).has_own_physics:
         raise ConfigError(
@@ -85,8 +77,7 @@ def bench_rollout(
     plan, settings, state = algorithm.plan(), algorithm.hyperparameters, algorithm.start(config.run.seed)
     table = algorithm.table.on(algorithm.problem.xp)
     physics = record_generation(algorithm, config.run.seed)
-    bare: list[float] = []
-    whole: list[float] = []
+    bare, whole = list[float](), list[float]()
     is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with (
         on_one_core() if is_alone else nullcontext(),
@@ -122,21 +113,17 @@ def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
     """Return the evolution strategy of `config`; raise ConfigError if there is none, or too little memory."""
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionAlgorithm):
-        known = [name for name, cls in ALGORITHMS.items() if issubclass(cls, EvolutionAlgorithm)]
-        raise ConfigError(
-            f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm {' or '.join(known)}."
-        )
+        raise ConfigError(f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes.")
     check_limits(config, algorithm.design)
     return algorithm
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RecordedEpisode:
+class RecordedEpisode(NamedTuple):
     """The physics of an episode or a branch."""
 
     start: F64Array
     """Physics state at its start [S]: qpos, qvel, the solver's warm start, time."""
-    controls: list[F64Array] = field(default_factory=list)
+    controls: list[F64Array]
     """Controls of every control step [A]."""
 
 
@@ -144,15 +131,14 @@ class BarePhysics:
     """Replays episodes one after another with `mj_step`: the limit of one core."""
 
     def __init__(self, model: mujoco.MjModel, episodes: Sequence[RecordedEpisode]) -> None:
-        self.model, self.episodes = model, episodes
-        self.data = mujoco.MjData(model)
-        self._ends = np.cumsum([model.nq, model.nv, model.nv])
+        self.model, self.episodes, self.data = model, episodes, mujoco.MjData(model)
 
     def replay(self, episode: RecordedEpisode) -> None:
         """Replay `episode` in `data`."""
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = np.split(episode.start, self._ends)
+        parts = np.split(episode.start, np.cumsum([model.nq, model.nv, model.nv]))
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = parts
         for control in episode.controls:
             data.ctrl[:] = control
             mujoco.mj_step(model, data, nstep=FRAME_SKIP)
@@ -219,7 +205,7 @@ class _RecordingSimulator(CpuSimulator):
     def advance(self, ids: IntArray, nstep: int) -> None:
         for i in ids.tolist():
             if i not in self._running:
-                self._running[i] = RecordedEpisode(start=self.states(np.array([i]))[0])
+                self._running[i] = RecordedEpisode(self.states(np.array([i]))[0], [])
                 self.episodes.append(self._running[i])
             self._running[i].controls.append(self.ctrl[i].copy())
         super().advance(ids, nstep)

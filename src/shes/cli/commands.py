@@ -1,14 +1,13 @@
-"""The commands that are more than a function of the library: `train`, `resume` and `completion`."""
+"""The commands `train` and `resume`, which are more than a function of the library: they take several runs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from shes.cli.parsing import print_completion
 from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs import train as run_training
@@ -66,11 +65,3 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
             f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
         )
     return folder.train_shown(list(folder.configs))
-
-
-def completion(shell: Literal["bash", "zsh", "fish"]) -> int:
-    """Print a script by which a shell completes commands, flags and choices.
-
-    For bash: shes completion bash > ~/.local/share/bash-completion/completions/shes
-    """
-    return print_completion(shell)

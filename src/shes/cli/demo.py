@@ -7,130 +7,126 @@ used, so that Ctrl-C before is no traceback.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from time import monotonic
-from typing import Any
-
-from rich.console import Console
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import shes
 from shes.cli.program import INTERRUPTED, exit_code
 from shes.console import LineConsole
 
-__all__ = ["main"]
-
 EPISODES = 50
-GATHER_MINUTES = 1.25
-"""Training time of the ant's controller; with that of the walker the demo stays below four minutes."""
-_WALKING = {"camera": "follow", "steps": 100}
 _GATHERING = {"camera": "top", "speed": 2.0}
-"""Views of the videos. Without a GPU a view from above is drawn three times as fast as the one that follows the robot,
+"""View of the videos. Without a GPU a view from above is drawn three times as fast as the one that follows the robot,
 which has shadows. With half of the frames, too, a whole episode of 50 s is drawn in 20 s on two cores."""
-
+_SCORE = "score (8 is the most there is)"
 _BEFORE_AFTER = ("0", "best")  # checkpoints
 _SEED = 0  # of the fresh episodes: both checkpoints are evaluated and drawn in the same ones
 
 
+class Stage(NamedTuple):
+    """A run of a demo, which uses the primitive of the one before, and what is shown of it."""
+
+    name: str
+    """Name of the run folder and of its video."""
+    env: str
+    result: str
+    """What is printed of its episodes, in words."""
+    column: str
+    """The same, as a field of `Evaluation`."""
+    view: Mapping[str, Any]
+    """Arguments of `render`."""
+    settings: Mapping[str, Any] = MappingProxyType({})
+    """Arguments of `train`."""
+
+
+_WALK = ("walking", "ant-flagrun", "return on moving goals (untrained it stands: 0)", "returns")
+_ANT = (
+    "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1) and "
+    "leave poison (-1): a controller sets the goals. Under four minutes; Ctrl-C stops and keeps everything."
+)
+_POINT = (
+    "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, "
+    "and a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything."
+)
+DEMOS = {
+    "ant": (
+        _ANT,
+        Stage(*_WALK, {"camera": "follow", "steps": 100}),
+        # With the walker's minute the demo stays below four minutes.
+        Stage("gathering", "ant-gather", _SCORE, "scores", _GATHERING, {"minutes": 1.25}),
+    ),
+    "point": (_POINT, Stage("gathering", "point-gather", _SCORE, "scores", _GATHERING)),
+}
+"""What happens in the demo of each robot, in words and in stages."""
+
+
 def main() -> int:
     """Run the demo in the working directory; return the exit code."""
-    return exit_code(lambda: _demo(sys.argv[1] if len(sys.argv) > 1 else "ant"))
-
-
-def _demo(robot: str) -> int:
-    """Run the demo of `robot`; return the exit code."""
-    console, start = LineConsole(), monotonic()
-    if robot not in _DEMOS:
-        print(f"unknown robot {robot!r}; there are demos of {' and '.join(_DEMOS)}", file=sys.stderr)
+    robot = sys.argv[1] if len(sys.argv) > 1 else "ant"
+    if robot not in DEMOS:
+        print(f"unknown robot {robot!r}; there are demos of {' and '.join(DEMOS)}", file=sys.stderr)
         return 2
+    text, *stages = DEMOS[robot]
+    return exit_code(lambda: play(text, stages))
+
+
+def play(text: str, stages: list[Stage]) -> int:
+    """Print `text`, train and evaluate the runs of `stages`, and draw them; return the exit code."""
+    console, start = LineConsole(), monotonic()
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    console.print(text, highlight=False)
     try:
-        last = _DEMOS[robot](console, folder)
+        typical, primitive = list[int](), dict[str, Any]()
+        for stage in stages:
+            typical.append(_learn(console, folder / stage.name, stage, primitive))
+            primitive = {"primitive": folder / stage.name}
+        for stage, episode in zip(stages, typical, strict=True):
+            _draw(console, folder / stage.name, stage, episode)
     except KeyboardInterrupt:
-        kept = f"; the runs so far are in {folder}" if folder.exists() else " before the first run"
-        console.print(f"Stopped{kept}.", highlight=False, soft_wrap=True)
+        console.print_line(f"Stopped{f'; the runs so far are in {folder}' if folder.exists() else ''}.")
         return INTERRUPTED
     from shes.runs.progress_display import format_duration
 
-    console.print(
+    last = folder / stages[-1].name
+    console.print_line(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
         f"Next: .venv/bin/shes resume {last} --generations 200   (continues training)\n"
         f"      .venv/bin/shes evaluate {last} --episodes 200\n"
-        "      .venv/bin/shes --help",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
+        "      .venv/bin/shes --help"
     )
     return 0
 
 
-def _ant(console: Console, folder: Path) -> Path:
-    """Train a walker and then a controller for it; return the controller's run folder."""
-    walker, gather = folder / "walker", folder / "gather"
-    console.print(
-        "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1) and "
-        "leave poison (-1): a controller sets the goals. Under four minutes; Ctrl-C stops and keeps everything.",
-        highlight=False,
-    )
-    _learn(console, "ant-flagrun", walker)
-    typical_walk = _show(
-        console, walker, "return on moving goals (untrained it stands: 0)", lambda found: found.returns
-    )
-    _learn(console, "ant-gather", gather, primitive=walker, minutes=GATHER_MINUTES)
-    typical_search = _show(console, gather, "score on Gather (8 is the most there is)", lambda found: found.scores)
-    _draw(console, walker, folder / "walking.mp4", episode=typical_walk, **_WALKING)
-    _draw(console, gather, folder / "gathering.mp4", episode=typical_search, **_GATHERING)
-    return gather
-
-
-def _point(console: Console, folder: Path) -> Path:
-    """Train both levels of a point robot; return the run folder."""
-    console.print(
-        "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, "
-        "and a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything.",
-        highlight=False,
-    )
-    _learn(console, "point-gather", folder)
-    typical_search = _show(console, folder, "score (8 is the most there is)", lambda found: found.scores)
-    _draw(console, folder, folder / "gathering.mp4", episode=typical_search, **_GATHERING)
-    return folder
-
-
-_DEMOS: dict[str, Callable[[Console, Path], Path]] = {"ant": _ant, "point": _point}
-
-
-def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
-    """Train on `env` with live progress."""
-    from shes.runs.progress_display import ProgressDisplay
-
-    with ProgressDisplay(console) as display:
-        shes.train(env, out=path, listener=display, progress=False, **settings)
-
-
-def _show(console: Console, path: Path, what: str, results: Callable[[Any], Any]) -> int:
-    """Print the mean of a result of the run at `path` on fresh episodes, before and after training.
+def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[str, Any]) -> int:
+    """Train with live progress, and print the mean result on fresh episodes before and after training.
 
     Return the index of a typical episode: after training, its result is the nearest to the mean.
     """
+    shes.train(stage.env, out=path, progress=True, **stage.settings, **primitive)
     before, after = (
-        results(shes.evaluate(path, episodes=EPISODES, checkpoint=name, seed=_SEED)) for name in _BEFORE_AFTER
+        getattr(shes.evaluate(path, episodes=EPISODES, checkpoint=name, seed=_SEED), stage.column)
+        for name in _BEFORE_AFTER
     )
-    console.print(
-        f"\nMean {what}, {EPISODES} fresh episodes: {before.mean():.2f} before training, {after.mean():.2f} after.\n"
-    )
+    means = f"{before.mean():.2f} before training, {after.mean():.2f} after"
+    console.print_line(f"\nMean {stage.result}, {EPISODES} fresh episodes: {means}.\n")
     return int(abs(after - after.mean()).argmin())
 
 
-def _draw(console: Console, path: Path, video: Path, **view: Any) -> None:
-    """Draw curves, and a video before and after training, of the run at `path`, with live progress."""
+def _draw(console: LineConsole, path: Path, stage: Stage, episode: int) -> None:
+    """Draw curves, and a video of an episode before and after training, of the run at `path`, with live progress."""
     from shes.runs.progress_display import drawing_progress
 
-    console.print(f"Drawing the untrained and the trained agent {video.stem} ...", highlight=False)
+    console.print_line(f"Drawing the untrained and the trained agent {stage.name} ...")
     curves = shes.plot([path], path / "curves.png")
-    with drawing_progress(console, video.stem) as on_step:
-        shes.render(path, video, checkpoints=_BEFORE_AFTER, seed=_SEED, size=400, on_step=on_step, **view)
-    console.print(f"{video.stem}: {video}   curves: {curves}", markup=False, highlight=False, soft_wrap=True)
+    video = path.with_suffix(".mp4")
+    with drawing_progress(console, stage.name) as on_step:
+        shown = {"checkpoints": _BEFORE_AFTER, "episode": episode, "seed": _SEED, "size": 400, "on_step": on_step}
+        shes.render(path, video, **shown, **stage.view)
+    console.print_line(f"{stage.name}: {video}   curves: {curves}")
 
 
 if __name__ == "__main__":

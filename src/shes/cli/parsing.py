@@ -10,10 +10,12 @@ files that it has written.
 from __future__ import annotations
 
 import inspect
+import json
 import re
+import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, redirect_stdout
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
@@ -21,14 +23,14 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from shes.cli.command_table import COMMANDS, find_command
-from shes.cli.output import show, show_steps
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.envs.named_environments import ENVIRONMENTS, GYMNASIUM
+from shes.cli.program import COMMANDS, REMOVED, TERMINATED, find_command
+from shes.console import LineConsole
+from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
+from shes.runs.progress_display import drawing_progress
 from shes.runs.run_settings import RunSettings, by_name, known_settings, settings_by_section
 from shes.runs.train import resumable_settings
 from shes.runs.transfer import transferred_levels
@@ -53,12 +55,15 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
     if shows_help:
         words = ["--help"]
     else:
-        _check_repeated(words, command)
+        _check_flags(words, command)
     return _exit_code(lambda: tyro.cli(command, prog=f"shes {name}", args=words, config=_CONFIG, registry=_VALUES))
 
 
-def print_completion(shell: str) -> int:
-    """Print tyro's script by which `shell` completes commands, flags and choices."""
+def completion(shell: Literal["bash", "zsh", "fish"]) -> int:
+    """Print a script by which a shell completes commands, flags and choices.
+
+    For bash: shes completion bash > ~/.local/share/bash-completion/completions/shes
+    """
     commands = {
         name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL], shows_help=True) for name in COMMANDS
     }
@@ -82,11 +87,11 @@ def _command(
     def command(**values: Any) -> int:
         is_json = values.pop("json", False)
         with (
-            show_steps() if shows_steps else nullcontext({}) as steps,
+            _steps_shown() if shows_steps else nullcontext({}) as steps,
             redirect_stdout(None if is_json else sys.stdout),
         ):
             found = function(**values, **steps)
-        return show(found, _WRITES.get(name, ""), as_json=is_json)
+        return _show(found, _WRITES.get(name, ""), as_json=is_json)
 
     parameters = _parameters(function)
     shows_steps = parameters.pop("on_step", None) is not None
@@ -98,6 +103,41 @@ def _command(
     text = inspect.getdoc(function) or ""  # each paragraph, and the text of each argument, on one line
     command.__doc__ = re.sub(r"(?<=\S)\n( {8})?(?=\S)", " ", text).replace("`", "")
     return command
+
+
+@contextmanager
+def _steps_shown() -> Iterator[dict[str, Callable[[int, int], None]]]:
+    """Yield `on_step`, which shows the progress of a drawing in a terminal. SIGTERM lets it remove its files."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    with drawing_progress(LineConsole(stderr=True)) as on_step:
+        yield {"on_step": on_step}
+
+
+def _show(found: Any, kind: str, *, as_json: bool) -> int:
+    """Print what a command returns; return the exit code.
+
+    Args:
+        found: An exit code, which is not printed; a listing, or an object that has one; or a path or several, or None.
+        kind: What is at the paths.
+        as_json: Whether to print the listing as JSON.
+    """
+    if isinstance(found, int):
+        return found
+    listing = found.listing() if hasattr(found, "listing") else found
+    if not isinstance(listing, Listing):
+        files = () if found is None else found if isinstance(found, tuple) else (found,)
+        listing = Listing([], [f"{kind}: {file}" for file in files])
+    console = LineConsole()
+    if as_json:
+        print(json.dumps(listing.facts, indent=2 if isinstance(listing.facts, list) else None))
+    for part in () if as_json else listing.parts:
+        if isinstance(part, str):
+            console.print_line(part)
+        else:
+            console.print_table(part)
+    for error in listing.errors:
+        LineConsole(stderr=True).print_error(error)
+    return 1 if listing.errors else 0
 
 
 def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
@@ -113,16 +153,19 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
     return DEFAULT_ENV, list(words)
 
 
-def _check_repeated(words: Sequence[str], command: Callable[..., int]) -> None:
-    """Raise ConfigError if a flag of several values is given twice; of other flags the last one counts."""
-    several = {each.flag for each in known_settings().values() if each.kind is tuple}
+def _check_flags(words: Sequence[str], command: Callable[..., int]) -> None:
+    """Raise ConfigError for a flag that was removed, or one of several values that is given twice."""
+    known = known_settings()
+    several = {each.flag for each in known.values() if each.kind is tuple}
     for name, kind in command.__annotations__.items():
         first, *notes = get_args(kind) or (None,)
         if get_origin(first) is tuple and tyro.conf.UseAppendAction not in notes:
             several.add(flag(name))
-    given = [word.partition("=")[0].replace("_", "-") for word in words]
-    for each in several:
-        if given.count(each) > 1:
+    given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
+    for each in given:
+        if each in REMOVED and each not in {setting.flag for setting in known.values()}:
+            raise ConfigError(f"{each} was removed. Instead, {REMOVED[each]}.")
+        if each in several and given.count(each) > 1:
             raise ConfigError(f"{each} is given twice. Give it once, with all its values.")
 
 

@@ -1,35 +1,154 @@
-"""The program: the overview of the commands, and the call of one of them."""
+"""The program: the commands, their overview, and the call of one of them."""
 
 from __future__ import annotations
 
-import codecs
+import argparse
+import importlib
 import io
 import os
+import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import shes
-from shes.cli.command_table import COMMANDS, find_command, split_everywhere
-from shes.errors import ConfigError, ShesError
-from shes.registry import import_registering
+from shes.errors import ConfigError, ShesError, UnknownNameError
 
+COMMANDS: dict[str, tuple[str, str]] = {
+    "envs": ("envs.catalogue.list_environments", "list the environments"),
+    "list": ("runs.listings.list_runs", "list the runs below runs/, and the shipped agents"),
+    "info": ("runs.listings.describe_run", "show the settings and the state of a run"),
+    "train": ("cli.commands.train", "train on an environment"),
+    "resume": ("cli.commands.resume", "continue a run"),
+    "evaluate": ("runs.evaluate.evaluate", "evaluate a checkpoint of a run on fresh episodes"),
+    "plot": ("viewing.plot.plot", "plot the learning curves of runs"),
+    "report": ("viewing.report.report", "make one HTML page of runs: curves, results, maps, videos, settings"),
+    "compare": ("runs.comparison.compare_runs", "compare two runs, or groups of runs: interval and p value"),
+    "render": ("viewing.render.render", "make a video of a run's policy"),
+    "watch": ("viewing.playback.watch", "watch a run's policy in a window"),
+    "export": ("runs.export.export", "write a run's policy to a file that needs no SHES"),
+    "bench": ("cli.bench.bench", "measure the speed of this machine"),
+    "completion": ("cli.parsing.completion", "print a script that completes commands and flags with the Tab key"),
+}
+"""Function of every command, below `shes`, and its line in the overview."""
+EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
+"""Flags of every command."""
+REMOVED = {
+    "experiment": "run python -m experiments NAME in a checkout",
+    "bench speedup": "run python benchmarks/speedup.py in a checkout",
+    "bench update": "see column update_s of progress.csv",
+    "--sigma-schedule": "set --sigma-end and --schedule-generations",
+    "--learning-rate-schedule": "set --learning-rate-end and --schedule-generations",
+    "--episodes-schedule": "set --episodes-per-policy",
+    "--episodes-end": "set --episodes-per-policy",
+    "--weight-decay-form": "set --weight-decay; 0 is none",
+    "--controller-weight-decay": "set --weight-decay; 0 is none",
+    "--hold-tied": "set --rank-ties average, which keeps tied levels unchanged, or index",
+    "--momentum": "set --optimizer sgd, whose momentum is 0.9",
+    "--primitive-fitness-shaping": "set --fitness-shaping; intervals have pair_rank",
+    "--hide-position": "set --primitive-view egocentric",
+    "--controller-checkpoint": "the checkpoint best is taken",
+    "--max-diverged-generations": "it is always 10",
+    "--evaluation-reset-noise": "it is always 0.1",
+    "--worker-warning-s": "it is always 60 s",
+    "--worker-timeout-s": "it is always 600 s",
+    "--ray-address": "set the environment variable RAY_ADDRESS",
+    "--critic-loss": "it is always the Huber loss",
+    "--target-noise": "it is always 0.2",
+    "--target-noise-clip": "it is always 0.5",
+    "--goal-candidates": "it is always 10",
+    "--labels": "runs have the names of their folders",
+    "--no-sensors": "sensors are always shown",
+}
+"""Commands and flags of earlier versions, and what to do instead."""
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 """Exit codes after Ctrl-C, if the reader of the output has gone, and after SIGTERM."""
+_LEAST_COLUMNS = 20  # tables and help need some width
 
-TO_ASCII = "shes.to_ascii"
-"""Name of the error handler that writes ASCII for the characters that an encoding lacks."""
-_IN_ASCII = {"±": "+/-", "×": "x", "·": ",", "…": "...", "—": "-", "≥": ">=", "≤": "<=", "→": "->", "°": " deg"}
+_OVERVIEW = """\
+usage: shes COMMAND ...
+
+Scalable hierarchical evolution strategies: train, evaluate, render, measure.
+
+commands:
+{commands}
+
+everywhere:
+  -h, --help       Show the help of a command.
+  --help-all       Show it with all settings of a run.
+  --import MODULE  Import a module that registers environments or other classes. Repeatable.
+  --debug          Show the traceback of an error.
+  --version        Show the version.
+
+First steps: shes train point-gather --generations 60, then shes plot RUN, then shes train ant-gather."""
 
 
-def _to_ascii(error: UnicodeError) -> tuple[str, int]:
-    """Return the ASCII text for the characters that an encoding lacks, and the position after them."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(_IN_ASCII.get(each, "?") for each in error.object[error.start : error.end]), error.end
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; return its exit code.
+
+    0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C; 141: the
+    reader of the output has closed it, as `head` does.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)  # these flags may stand anywhere
+    parser.add_argument("--debug", action="store_true")
+    parser.add_argument("--import", action="append", nargs="?", default=[], dest="modules")
+    asked, words = parser.parse_known_args(sys.argv[1:] if arguments is None else arguments)
+
+    def run() -> int:
+        for module in asked.modules:
+            _import_registering(module)
+        return _run(words or ["--help"])
+
+    return exit_code(run, is_debug=asked.debug)
 
 
-codecs.register_error(TO_ASCII, _to_ascii)
+def _run(words: Sequence[str]) -> int:
+    """Run the command that `words` begin with."""
+    name, *rest = words
+    if name in ("-h", "--help", "--help-all", "help"):
+        width = max(map(len, COMMANDS))
+        lines = (f"  {command:<{width}}  {text}" for command, (_, text) in COMMANDS.items())
+        print(_OVERVIEW.format(commands="\n".join(lines)))
+        return 0
+    if name == "--version":
+        print(f"shes {shes.__version__}")
+        return 0
+    for each in (name, " ".join(words[:2])):
+        if each in REMOVED and not each.startswith("-"):
+            raise ConfigError(f"shes {each} was removed. Instead, {REMOVED[each]}.")
+    if name.startswith("-"):
+        raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
+    function = find_command(name)
+    return shes.import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
+
+
+def find_command(name: str) -> Callable[..., Any]:
+    """Return the function of command `name`; raise UnknownNameError if there is none."""
+    if name not in COMMANDS:
+        raise UnknownNameError("command", name, COMMANDS, "See `shes --help`.")
+    module, _, function = COMMANDS[name][0].rpartition(".")
+    return getattr(shes.import_module(f"shes.{module}"), function)
+
+
+def _import_registering(name: str | None) -> None:
+    """Import a module of the user; raise ConfigError if it has no name, is not found, or fails."""
+    if not name:
+        raise ConfigError("--import needs a value: --import MODULE. See `shes --help`.")
+    try:
+        importlib.import_module(name)
+    except (Exception, SystemExit) as error:
+        problem = (
+            f"the module failed: {type(error).__name__}: {str(error).rstrip('.')}. "
+            "Correct it; --debug shows where it failed."
+        )
+        if isinstance(error, ModuleNotFoundError) and error.name and f"{name}.".startswith(f"{error.name}."):
+            file = f" Give a module's name, not a file: --import {name[:-3]}." if name.endswith(".py") else ""
+            problem = (
+                f"there is no module {error.name!r}. Is it installed or on PYTHONPATH?{file} "
+                "For a module in this folder: PYTHONPATH=. shes ..."
+            )
+        raise ConfigError(f"--import {name}: {problem}") from error
 
 
 def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
@@ -71,7 +190,7 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
 
 
 def _mend_streams() -> None:
-    """Replace closed streams by the null device; let the others show in ASCII what their encoding lacks."""
+    """Replace closed streams by the null device, characters that an encoding lacks by ?, and a width of nothing."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         stream = getattr(sys, name)
         if stream is None:  # else the next file that is opened gets its descriptor
@@ -79,52 +198,7 @@ def _mend_streams() -> None:
             os.set_inheritable(descriptor, True)  # or the workers have the same gap
             setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8"))
         elif mode == "w" and isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=TO_ASCII)
-
-
-_OVERVIEW = """\
-usage: shes COMMAND ...
-
-Scalable hierarchical evolution strategies: train, evaluate, render, measure.
-
-commands:
-{commands}
-
-everywhere:
-  -h, --help       Show the help of a command.
-  --help-all       Show it with all settings of a run.
-  --import MODULE  Import a module that registers environments or other classes. Repeatable.
-  --debug          Show the traceback of an error.
-  --version        Show the version.
-
-First steps: shes train point-gather --generations 60, then shes plot RUN, then shes train ant-gather."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return its exit code.
-
-    0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C; 141: the
-    reader of the output has closed it, as `head` does.
-    """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    asked, words = split_everywhere(given)
-    return exit_code(lambda: _run(asked.modules, words or ["--help"]), is_debug=asked.debug)
-
-
-def _run(modules: Iterable[str | None], words: Sequence[str]) -> int:
-    """Import `modules` and run the command that `words` begin with."""
-    for module in modules:
-        import_registering(module)
-    name, *rest = words
-    if name in ("-h", "--help", "--help-all", "help"):
-        width = max(map(len, COMMANDS))
-        lines = (f"  {command:<{width}}  {text}" for command, (_, text) in COMMANDS.items())
-        print(_OVERVIEW.format(commands="\n".join(lines)))
-        return 0
-    if name == "--version":
-        print(f"shes {shes.__version__}")
-        return 0
-    if name.startswith("-"):
-        raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
-    function = find_command(name)
-    return shes.import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
+            stream.reconfigure(errors="replace")
+    columns = shutil.get_terminal_size().columns
+    if columns < _LEAST_COLUMNS or os.environ.get("COLUMNS") == "0":
+        os.environ["COLUMNS"] = str(max(columns, _LEAST_COLUMNS))

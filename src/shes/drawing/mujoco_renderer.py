@@ -55,7 +55,10 @@ class MujocoRenderer(Renderer):
     def __init__(self, spec: mujoco.MjSpec, width: int, height: int, opengl: str) -> None:
         """Decorate the world of `spec` and draw it with OpenGL `opengl`."""
         super().__init__(decorate(spec).compile(), width, height)
-        _use_opengl(opengl)
+        if opengl in ("egl", "osmesa"):
+            os.environ["PYOPENGL_PLATFORM"] = opengl  # overrides the caller's: `find_opengl` has tried this one
+            # MuJoCo reads MUJOCO_GL only when it is imported, so this replaces the class that its renderer looks up.
+            gl_context.GLContext = import_module(f"mujoco.{opengl}").GLContext
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
         self._camera = mujoco.MjvCamera()
 
@@ -82,21 +85,10 @@ class MujocoRenderer(Renderer):
         self._renderer.close()
 
 
-def _use_opengl(name: str) -> None:
-    """Make `mujoco.Renderer` use OpenGL `name`.
-
-    MuJoCo reads MUJOCO_GL only when it is imported, so this replaces the context class that its renderer looks up.
-    """
-    if name in ("egl", "osmesa"):
-        os.environ["PYOPENGL_PLATFORM"] = name  # overrides the caller's: `find_opengl` has tried this one
-        gl_context.GLContext = import_module(f"mujoco.{name}").GLContext
-
-
 def follow(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData, extent: Extent) -> None:
     """Point `camera` at the robot from behind and above, steeper where a wall, a block or a platform would hide it.
 
-    The positions of bodies and geoms in `data` have been computed. The scenery of the decorated world `model`, which
-    covers `extent`, is in `SCENERY_GROUP`.
+    The positions in `data` have been computed; the decorated world `model` covers `extent`.
     """
     robot = data.xpos[ROBOT_BODY]
     low, high = np.reshape(extent, (2, 2))
@@ -117,13 +109,8 @@ def follow(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData,
 
 
 def _aim(camera: mujoco.MjvCamera, lookat: F64Array, elevation_deg: float, distance_m: float) -> None:
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:], camera.azimuth, camera.elevation, camera.distance = (
-        lookat,
-        _AZIMUTH_DEG,
-        elevation_deg,
-        distance_m,
-    )
+    camera.type, camera.lookat[:] = mujoco.mjtCamera.mjCAMERA_FREE, lookat
+    camera.azimuth, camera.elevation, camera.distance = _AZIMUTH_DEG, elevation_deg, distance_m
 
 
 def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:

@@ -29,7 +29,6 @@ class Viewer:
 
     def __init__(self, spec: mujoco.MjSpec, step_s: float) -> None:
         """Decorate the world of `spec` and open a window on it, if there is a screen; a `show` takes `step_s`."""
-        _check_screen()
         from mujoco import viewer
 
         self._step_s, self._due = step_s, monotonic()
@@ -98,15 +97,10 @@ Window: TypeAlias = Viewer | PassthroughWindow
 
 
 def open_window(batch: EpisodeBatch) -> Window:
-    """Return a window that shows the poses of `batch`, if there is a screen; call it before the first reset."""
-    if batch.draws_itself:
-        batch.draw_by("human")
-        return PassthroughWindow()
-    return Viewer(batch.world_to_draw(), batch.step_s)
+    """Return a window that shows the poses of `batch`; call it before the first reset.
 
-
-def _check_screen() -> None:
-    """Raise a ConfigError if there is no screen, for which MuJoCo's viewer would wait forever."""
+    Raise ConfigError if there is no screen: MuJoCo's viewer would wait for ever, and other environments run unseen.
+    """
     import glfw
 
     with warnings.catch_warnings():
@@ -118,3 +112,7 @@ def _check_screen() -> None:
             f"there is no screen to open a window on{where}. Make a video instead: shes render RUN --out walk.mp4, "
             'or render_mode="rgb_array".'
         )
+    if batch.draws_itself:
+        batch.draw_by("human")
+        return PassthroughWindow()
+    return Viewer(batch.world_to_draw(), batch.step_s)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from shes.envs.external.environment import ExternalEnvironment
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.named_environments import ENVIRONMENTS, Environment, make_task
+from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, Environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ShesError
 from shes.listing import Listing, Table

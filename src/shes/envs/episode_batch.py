@@ -80,12 +80,37 @@ class EpisodeBatch(ABC):
     """Controls lie in [-control_limit, control_limit]."""
     step_s: float
     """Simulated time of a control step in seconds."""
+    observation_size: int
+    """Number of observed values, O."""
+    observation_names: tuple[str, ...]
+    """Name of each observed value."""
+    proprioception: IntArray
+    """Indices in the observation of the robot's own coordinates and velocities."""
+    primitive_view: IntArray
+    """Indices in the observation that the primitive may see; the others are for the controller only."""
+    position_columns: IntArray = np.zeros(0, np.int64)
+    """Indices in the observation of the robot's absolute x and y; none if they are unknown."""
+    sensor_rings: IntArray = np.zeros((0, 0), np.int64)
+    """Indices in the observation of range sensors around the robot [rings, sectors]; none if this is empty.
+
+    Sectors are counter-clockwise; the first begins straight behind the robot. Ring 0 senses what attracts it.
+    """
+    reader: Reader
+    """The reader of this environment's observations and actions."""
     time: IntArray
     """Control steps since the reset [N]."""
     reward: F64Array
     """Reward of the last step [N]; 0 where the simulation diverged."""
     running_return: F64Array
     """Sum of the rewards since the reset [N]."""
+    diverged: BoolArray
+    """Whether the physics has diverged since the reset [N]: the episode ends and does not score."""
+    truncated: BoolArray
+    """Whether a time limit of the environment's own has ended the episode [N]: its state is not a terminal one."""
+    goal: F64Array | None = None
+    """Goals that the environment sets [N, 2] in metres; None if a controller sets them."""
+    ends_early: bool = False
+    """Whether an aid of training ends episodes that the task itself would not end."""
 
     @property
     @abstractmethod
@@ -97,49 +122,6 @@ class EpisodeBatch(ABC):
 
     def check_position(self) -> None:  # noqa: B027 - most environments know it
         """Raise a ConfigError if the robot's position, which goals need, is unknown; called after the first reset."""
-
-    @property
-    @abstractmethod
-    def observation_size(self) -> int:
-        """Number of observed values, O."""
-
-    @property
-    @abstractmethod
-    def observation_names(self) -> tuple[str, ...]:
-        """Name of each observed value."""
-
-    @property
-    def position_columns(self) -> IntArray:
-        """Indices in the observation of the robot's absolute x and y; none if they are unknown."""
-        return np.zeros(0, np.int64)
-
-    @property
-    @abstractmethod
-    def proprioception(self) -> IntArray:
-        """Indices in the observation of the robot's own coordinates and velocities."""
-
-    @property
-    @abstractmethod
-    def primitive_view(self) -> IntArray:
-        """Indices in the observation that the primitive may see; the others are for the controller only."""
-
-    @property
-    def sensor_rings(self) -> IntArray:
-        """Indices in the observation of range sensors around the robot [rings, sectors]; none if this is empty.
-
-        Sectors are counter-clockwise; the first begins straight behind the robot. Ring 0 senses what attracts it.
-        """
-        return np.zeros((0, 0), np.int64)
-
-    @property
-    @abstractmethod
-    def reader(self) -> Reader:
-        """The reader of this environment's observations and actions."""
-
-    @property
-    def goal(self) -> F64Array | None:
-        """Goals that the environment sets [N, 2] in metres; None if a controller sets them."""
-        return None
 
     @property
     @abstractmethod
@@ -157,29 +139,14 @@ class EpisodeBatch(ABC):
         """Whether the environment has ended the episode [N]. The horizon of training is not part of it."""
 
     @property
-    def truncated(self) -> BoolArray:
-        """Whether a time limit of the environment's own has ended the episode [N]: its state is not a terminal one."""
-        return self.xp.zeros(self.num_episodes, bool)
-
-    @property
     @abstractmethod
     def fallen(self) -> BoolArray:
         """Whether the episode has ended by a fall [N]; in an external environment, by a termination without success."""
 
     @property
-    def ends_early(self) -> bool:
-        """Whether an aid of training ends episodes that the task itself would not end; by default not."""
-        return False
-
-    @property
     def reward_after_end(self) -> F64Array:
         """Reward of each step up to the horizon that an ended episode no longer makes [N]; 0 unless it `ends_early`."""
         return self.xp.zeros(self.num_episodes)
-
-    @property
-    @abstractmethod
-    def diverged(self) -> BoolArray:
-        """Whether the physics has diverged since the reset [N]: the episode ends and does not score."""
 
     @property
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Registers every environment in Gymnasium, under `shes/`, as a single and as a vector environment.
+"""The environments that come with SHES, one line each, and the ids of all environments in Gymnasium, under `shes/`.
 
 Entry points are strings: `import shes` registers the environments without importing MuJoCo, and if Gymnasium is not
 imported yet, when it is: its import takes longer than that of the rest.
@@ -12,9 +12,26 @@ from collections.abc import Collection, Sequence
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-from shes.envs.builtin import BUILTIN_ENVIRONMENTS, BUILTIN_SPECS
 from shes.errors import UnknownNameError
 
+BUILTIN_SPECS = ("shes", "hiro")
+"""Specifications of every environment here: equal to `Task.specs`, but known without importing the class."""
+BUILTIN_ENVIRONMENTS = {
+    "ant-gather": ("ant:Ant", "gather:Gather"),
+    "ant-maze": ("ant:Ant", "mazes:Maze"),
+    "ant-push": ("ant:Ant", "mazes:Push"),
+    "ant-fall": ("ant:Ant", "mazes:Fall"),
+    "ant-flagrun": ("ant:Ant", "flagrun:Flagrun"),
+    "point-gather": ("point:Point", "gather:Gather"),
+    "point-maze": ("point:Point", "mazes:Maze"),
+    "point-push": ("point:Point", "mazes:Push"),
+    "point-fall": ("point:FallingPoint", "mazes:Fall"),
+    "point-flagrun": ("point:Point", "flagrun:Flagrun"),
+}
+"""Body, below `shes.envs.bodies`, and task, below `shes.envs.tasks`, of each environment, imported when needed.
+
+A new one is a line here; its Gymnasium ids, tests and documentation follow from it.
+"""
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (SHES paper, Table I)."""
 SPECS_OF: dict[str, Collection[str]] = dict.fromkeys(BUILTIN_ENVIRONMENTS, BUILTIN_SPECS)
@@ -30,16 +47,6 @@ def gymnasium_id(name: str, spec: str = "shes") -> str:
         raise UnknownNameError("environment", name, SPECS_OF, "`shes envs` lists them.")
     variant = "" if spec == "shes" else spec.title()
     return f"shes/{name.title().replace('-', '')}{variant}-v0"
-
-
-def find_id(name: str) -> str | None:
-    """Return the Gymnasium id that equals `name` up to case and a missing version, or None if there is none."""
-    import gymnasium
-
-    ids: dict[str, str] = {}
-    for env_id in gymnasium.registry:  # the latest version comes last
-        ids |= {env_id.casefold(): env_id, env_id.casefold().rpartition("-v")[0]: env_id}
-    return ids.get(name.casefold())
 
 
 def register_ids(name: str, specs: Collection[str]) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from shes.types import F64Array
-
+Point = tuple[float, float, float]
+"""x, y and z in metres."""
 Rgba = tuple[float, float, float, float]
 
 FOOD: Rgba = (0.18, 0.65, 0.30, 1.0)
@@ -25,33 +22,28 @@ class Marker:
 
     shape: str
     """`ball`, `disc` or `line`."""
-    position: tuple[float, float, float]
+    position: Point
     """Centre, or the start of a line."""
     radius: float
     """Radius, or half width of a line."""
     color: Rgba
     """Red, green, blue and opacity, from 0 to 1."""
-    end: tuple[float, float, float] | None = None
+    end: Point | None = None
     """End of a line."""
     height: float = 0.02
     """Half height of a disc."""
 
 
-def ball(position: Sequence[float] | F64Array, radius: float, color: Rgba) -> Marker:
-    """Return a ball with its centre at `position` (x, y, z)."""
-    return Marker(shape="ball", position=_point(position), radius=radius, color=color)
+def ball(position: Point, radius: float, color: Rgba) -> Marker:
+    """Return a ball with its centre at `position`."""
+    return Marker(shape="ball", position=position, radius=radius, color=color)
 
 
-def disc(position: Sequence[float] | F64Array, radius: float, color: Rgba, height: float = 0.02) -> Marker:
-    """Return an upright disc or column with its centre at `position` (x, y, z)."""
-    return Marker(shape="disc", position=_point(position), radius=radius, color=color, height=height)
+def disc(position: Point, radius: float, color: Rgba, height: float = 0.02) -> Marker:
+    """Return an upright disc or column with its centre at `position`."""
+    return Marker(shape="disc", position=position, radius=radius, color=color, height=height)
 
 
-def line(start: Sequence[float] | F64Array, end: Sequence[float] | F64Array, radius: float, color: Rgba) -> Marker:
-    """Return a line between two points (x, y, z)."""
-    return Marker(shape="line", position=_point(start), end=_point(end), radius=radius, color=color)
-
-
-def _point(position: Sequence[float] | F64Array) -> tuple[float, float, float]:
-    x, y, z = np.asarray(position, dtype=np.float64)
-    return float(x), float(y), float(z)
+def line(start: Point, end: Point, radius: float, color: Rgba) -> Marker:
+    """Return a line between two points."""
+    return Marker(shape="line", position=start, end=end, radius=radius, color=color)

@@ -7,11 +7,9 @@ from functools import partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from shes.envs.bodies.body import Body
-from shes.envs.builtin import BUILTIN_ENVIRONMENTS
-from shes.envs.external.environment import ExternalEnvironment
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
-from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_ids
+from shes.envs.bodies.body import Body, yaw
+from shes.envs.external_task import ExternalEnvironment
+from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
@@ -24,7 +22,7 @@ from shes.types import is_whole
 if TYPE_CHECKING:
     import gymnasium
 
-    from shes.envs.external.reader import Locate
+    from shes.envs.external_reader import Locate
 
 GYMNASIUM = "gymnasium:"
 """Prefix of an environment name that is followed by a Gymnasium id."""
@@ -32,7 +30,6 @@ _HOW_TO_REGISTER = (
     "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: shes.register_environment, "
     "shes.register_external, or --import MODULE."
 )
-_SCORES = ("return", "success")
 
 
 class Environment(NamedTuple):
@@ -53,12 +50,12 @@ class Environment(NamedTuple):
 
     @property
     def sets_goals(self) -> bool:
-        """Whether the task sets the goals, so that a primitive can be trained without a controller."""
+        """Whether the task sets the goals; see `Task.sets_goals`."""
         return self.task.sets_goals
 
     @property
     def has_places(self) -> bool:
-        """Whether a way to the task's target can be searched for by going back to places."""
+        """Whether a way to its target can be searched for; see `Task.has_places`."""
         return self.task.has_places
 
     def with_body_options(self, options: Settings) -> Environment:
@@ -93,6 +90,37 @@ ENVIRONMENTS: Registry[Environment] = Registry(
     check=_check_environment,
 )
 """Every environment that is a body and a task, by name."""
+
+
+def _check_external(_kind: str, environment: ExternalEnvironment) -> None:
+    make, locate = environment.source, environment.locate
+    if not callable(make) and not isinstance(make, str):
+        raise ConfigError(f"make must be a Gymnasium id or a function that returns an environment, got {make!r}.")
+    if locate is not None and not callable(locate):
+        raise ConfigError(f"locate must be a function of an observation and its info, got {locate!r}.")
+
+
+INCLUDED = {
+    "robotics-ant-maze": ExternalEnvironment(
+        name="robotics-ant-maze",
+        source="AntMaze_UMaze-v5",
+        locate=lambda seen, _: (*seen["achieved_goal"].tolist(), float(yaw(seen["observation"][1:5]))),
+        primitive_view=tuple(range(4, 109)),  # without the achieved and the desired goal, which come first
+        is_scored_by_success=True,
+    ),
+    "robotics-point-maze": ExternalEnvironment(
+        name="robotics-point-maze",
+        source="PointMaze_UMaze-v3",
+        locate=lambda seen, _: (*seen["achieved_goal"].tolist(), 0.0),
+        primitive_view=tuple(range(4, 8)),
+        is_scored_by_success=True,
+    ),
+}
+"""Mazes of Gymnasium-Robotics, which the extra `robotics` installs."""
+EXTERNAL_ENVIRONMENTS: Registry[ExternalEnvironment] = Registry(
+    "environment", INCLUDED, fix="See `shes envs`.", check=_check_external
+)
+"""Every external environment with a name; `register_external` adds to it."""
 
 
 def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
@@ -147,16 +175,15 @@ def register_external(
     """
     if name in ENVIRONMENTS or name in INCLUDED:
         raise ConfigError(f"environment {name!r} is already taken. Choose another name.")
-    view = None if primitive_view is None else tuple(primitive_view)
-    if view is not None and not all(is_whole(index) for index in view):
+    if primitive_view is not None and not all(map(is_whole, primitive_view)):
         raise ConfigError(f"primitive_view must be indices in the flat observation, got {primitive_view!r}.")
-    if score not in _SCORES:
-        raise UnknownNameError("score", str(score), _SCORES)
+    if score not in ("return", "success"):
+        raise UnknownNameError("score", str(score), ("return", "success"))
     EXTERNAL_ENVIRONMENTS[name] = ExternalEnvironment(
         name=name,
         source=make.removeprefix(GYMNASIUM) if isinstance(make, str) else make,
         locate=locate,
-        primitive_view=view,
+        primitive_view=None if primitive_view is None else tuple(primitive_view),
         is_scored_by_success=score == "success",
     )
 
@@ -175,15 +202,17 @@ def find_environment(name: str) -> EnvironmentMaker:
 
 def _refuse_id(name: str) -> None:
     """Raise a ConfigError if `name` is a Gymnasium id, in any case, with or without its version."""
-    env_id = find_id(name)
+    import gymnasium
+
+    ids: dict[str, str] = {}
+    for env_id in gymnasium.registry:  # the latest version comes last
+        ids |= {env_id.casefold(): env_id, env_id.casefold().rpartition("-v")[0]: env_id}
+    env_id = ids.get(name.casefold())
     if env_id is None:
         return
-    for own, specs in SPECS_OF.items():
-        for spec in specs:
-            if gymnasium_id(own, spec) == env_id:
-                flags = "" if spec == "shes" else f" --spec {spec}"
-                raise ConfigError(f"{name!r} is a Gymnasium id. Write {own}{flags}.")
-    raise ConfigError(f"{name!r} is a Gymnasium id. Write {GYMNASIUM}{env_id}.")
+    own = [(known, spec) for known, specs in SPECS_OF.items() for spec in specs if gymnasium_id(known, spec) == env_id]
+    flags = f" --spec {own[0][1]}" if own and own[0][1] != "shes" else ""
+    raise ConfigError(f"{name!r} is a Gymnasium id. Write {own[0][0] + flags if own else GYMNASIUM + env_id}.")
 
 
 def make_task(

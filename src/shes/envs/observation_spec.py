@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shes.types import F64Array
-
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationElement:
@@ -31,8 +29,3 @@ def elements(
         ObservationElement(name=name, meaning=meaning.format(name.replace("_", " ")), unit=unit, low=low, high=high)
         for name in names
     )
-
-
-def bounds(spec: Sequence[ObservationElement]) -> tuple[F64Array, F64Array]:
-    """Return the lower and upper bounds of an observation, each [O]."""
-    return np.array([each.low for each in spec]), np.array([each.high for each in spec])

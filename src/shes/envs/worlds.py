@@ -63,28 +63,22 @@ def empty_world(name: str, integrator: str, *, stiff_contacts: bool = False) -> 
 
 def add_grid(spec: mujoco.MjSpec, grid: Grid) -> None:
     """Add the walls, platforms and blocks of `grid` to `spec`."""
-    ground = 0.0
-    if _has(grid, "C"):
-        _add_boxes(spec, "platform", merged_boxes(grid, "#.rB"), ground)
-        ground = WALL_HEIGHT_M
+    has_chasm = any("C" in row for row in grid)
+    if has_chasm:
+        _add_boxes(spec, "platform", merged_boxes(grid, "#.rB"), 0.0)
+    ground = WALL_HEIGHT_M if has_chasm else 0.0
     _add_boxes(spec, "wall", merged_boxes(grid, "#"), ground)
     for i, row in enumerate(grid):
-        for j, cell in enumerate(row):
-            if cell == "B":
-                _add_block(spec, _center(grid, i, j), ground, can_fall=_has(grid, "C"))
+        if "B" in row:
+            _add_block(spec, _center(grid, i, row.index("B")), ground, can_fall=has_chasm)
 
 
 def add_square_walls(spec: mujoco.MjSpec, half_width: float) -> None:
     """Add walls around the square of `half_width` metres that is centred at the origin."""
     half = CELL_SIZE_M / 2
     middle, outer = half_width + half, half_width + CELL_SIZE_M
-    boxes = [
-        (0.0, -middle, outer, half),
-        (0.0, middle, outer, half),
-        (-middle, 0.0, half, half_width),
-        (middle, 0.0, half, half_width),
-    ]
-    _add_boxes(spec, "wall", boxes, 0.0)
+    boxes = [(0.0, y, outer, half) for y in (-middle, middle)]
+    _add_boxes(spec, "wall", boxes + [(x, 0.0, half, half_width) for x in (-middle, middle)], 0.0)
 
 
 def is_free(grid: Grid, x: float, y: float) -> bool:
@@ -104,29 +98,16 @@ def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, floa
     """
     open_runs: dict[tuple[int, int], int] = {}  # (first column, last column) -> first row
     boxes: list[tuple[float, float, float, float]] = []
-
-    def close(run: tuple[int, int], first_row: int, last_row: int) -> None:
-        left, low = _center(grid, first_row, run[0])
-        right, high = _center(grid, last_row, run[1])
-        half = CELL_SIZE_M / 2
-        boxes.append(((left + right) / 2, (low + high) / 2, (right - left) / 2 + half, (high - low) / 2 + half))
-
+    half = CELL_SIZE_M / 2
     for i, row in enumerate((*grid, "")):
-        runs = _runs(row, signs)
+        runs = [(run.start(), run.end() - 1) for run in re.finditer(f"[{re.escape(signs)}]+", row)]
         for run in [run for run in open_runs if run not in runs]:
-            close(run, open_runs.pop(run), i - 1)
+            left, low = _center(grid, open_runs.pop(run), run[0])
+            right, high = _center(grid, i - 1, run[1])
+            boxes.append(((left + right) / 2, (low + high) / 2, (right - left) / 2 + half, (high - low) / 2 + half))
         for run in runs:
             open_runs.setdefault(run, i)
     return boxes
-
-
-def _runs(row: str, signs: str) -> list[tuple[int, int]]:
-    """Return the first and last column of every run of `signs` in `row`."""
-    return [(run.start(), run.end() - 1) for run in re.finditer(f"[{re.escape(signs)}]+", row)]
-
-
-def _has(grid: Grid, sign: str) -> bool:
-    return any(sign in row for row in grid)
 
 
 def _robot_cell(grid: Grid) -> tuple[int, int]:

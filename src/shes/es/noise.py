@@ -23,12 +23,11 @@ import numpy as np
 
 from shes.checked import checked
 from shes.errors import ConfigError, StorageError
-from shes.host_arrays import to_host
 from shes.machine import free_disk, free_memory
 from shes.settings import Ge, Shown
 from shes.storage import remove_abandoned, storage_errors, write_atomically
 from shes.streams import table_stream
-from shes.types import F32Array, IntArray
+from shes.types import F32Array, IntArray, to_host
 
 NOISE_SEED = 123
 """Seed of the table, as in the authors' code."""

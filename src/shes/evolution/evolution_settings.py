@@ -72,10 +72,10 @@ class ExplorationSettings(Settings):
     """Exploration."""
 
     explore: Literal["none", "archive"] = "none"
-    """Search for a way to the target: none, or by an archive of places to which a simulation goes back. The way found
+    """Search for a path to the target: none, or an archive of places to which a simulation goes back. The path found
     replaces the waypoints in training."""
     explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
-    """Longest way of the search in control steps; none for the horizon."""
+    """Longest path of the search in control steps; none for the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)

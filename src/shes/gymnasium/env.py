@@ -1,20 +1,166 @@
-"""The single Gymnasium environment: a task with one episode. `vector_env.py` has N."""
+"""The single Gymnasium environment, and what it shares with the vector environment, a task of N episodes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
+from gymnasium.spaces import Box
+from gymnasium.utils import EzPickle
+from numpy.typing import ArrayLike, NDArray
 
-from shes.drawing.renderer import Picture
-from shes.gymnasium.adapter import TaskAdapter
-from shes.types import F64Array
+from shes.drawing.make_drawer import make_drawer
+from shes.drawing.renderer import Drawer, Picture, check_camera
+from shes.drawing.window import Window, open_window
+from shes.envs.named_environments import ENVIRONMENTS
+from shes.envs.tasks.task import Task
+from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
+from shes.settings import setting_fields
+from shes.sim.cpu import CpuSimulator
+from shes.types import BoolArray, F64Array, IntArray
+
+_PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}
 
 
-class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
-    """One episode of a task at a time. Actions lie in [-1, 1]; a step takes 0.1 s of simulated time."""
+class TaskAdapter:
+    """A task of N episodes with Gymnasium's spaces, actions, infos and pictures."""
+
+    def __init__(
+        self,
+        name: str,
+        num_envs: int,
+        render_mode: str | None,
+        render_modes: Sequence[str],
+        options: Mapping[str, Any],
+        num_threads: int = 1,
+    ) -> None:
+        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads; check the names."""
+        if render_mode is not None and render_mode not in render_modes:
+            raise UnknownNameError("render_mode", str(render_mode), render_modes)
+        self._render_mode = render_mode
+        self._picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
+        self.task = _make_task(name, num_envs, options, min(num_threads, num_envs))
+        check_camera(self._picture["camera"])
+        low, high = np.array([(element.low, element.high) for element in self.task.observation_spec]).T
+        self.observation_space = Box(low, high, dtype=np.float64)
+        self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
+        self._drawer: Drawer | None = None
+        self._window: Window | None = None
+        self._is_new_episode = True
+
+    @staticmethod
+    def draw_seed(rng: np.random.Generator) -> int:
+        """Return a seed for the next episode of an environment with generator `rng`."""
+        return int(rng.integers(0, 2**63))
+
+    @property
+    def ended(self) -> BoolArray:
+        """Whether each episode has terminated [N]; a divergence terminates it."""
+        return self.task.terminated | self.task.diverged
+
+    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
+        """Start new episodes in rows `ids`."""
+        self.task.reset(ids, seeds)
+        self._is_new_episode = True
+        self._show()
+
+    def step(self, ids: IntArray, actions: ArrayLike) -> None:
+        """Advance episodes `ids` by one control step with `actions` [N, A], clipped to [-1, 1].
+
+        Raise ShapeError for another shape, and PolicyError for values that are no numbers or, in the rows of `ids`,
+        NaN or infinite.
+        """
+        task, asked = self.task, _as_numbers(actions)
+        expected = (task.num_episodes, task.action_size)
+        if asked.shape != expected:
+            each = f" in each of {expected[0]} environments" if expected[0] > 1 else ""
+            raise ShapeError(
+                f"an action of {task.body.name}-{task.name} has shape ({expected[1]},){each}; "
+                f"got {asked.shape if expected[0] > 1 else asked.shape[1:]}."
+            )
+        if not np.isfinite(asked[ids]).all():
+            raise PolicyError("the action contains NaN or infinity; actions lie in [-1, 1]. Check the policy's output.")
+        task.step(ids, np.clip(asked, -1.0, 1.0) * task.control_limit)
+        self._show()
+
+    def observation(self) -> F64Array:
+        """Return a copy of the observations [N, O]."""
+        return self.task.observe().copy()
+
+    def info(self) -> dict[str, Any]:
+        """Return the entries of `info`, as arrays [N] or [N, 2]."""
+        task = self.task
+        return {
+            "success": task.success.copy(),
+            "score": task.score.astype(np.float64),
+            "distance": task.distance.copy(),
+            "position": task.position.copy(),
+            "heading": task.heading.copy(),
+            "diverged": task.diverged.copy(),
+            **{name: np.array(count) for name, count in task.counts.items()},
+        }
+
+    def render(self, episode: int) -> Picture | None:
+        """Return a picture [H, W, 3] of episode `episode` in mode `rgb_array`; None in mode `human`."""
+        if self._render_mode is None:
+            raise ConfigError('render_mode is not set: make the environment with render_mode="rgb_array" or "human".')
+        if self._render_mode == "human":
+            return None
+        if self._drawer is None:
+            self._drawer = make_drawer(self.task, self._picture["width"], self._picture["height"])
+        return self._drawer.draw(self.task.pose(episode), self.task.markers(episode), self._picture["camera"])
+
+    def _show(self) -> None:
+        """Show the first episode in the window, in mode `human`."""
+        if self._render_mode != "human":
+            return
+        if self._window is None:
+            self._window = open_window(self.task)
+        self._window.show(self.task.pose(0), self.task.markers(0), is_new_episode=self._is_new_episode)
+        self._is_new_episode = False
+
+    def close(self) -> None:
+        """Close the window and free the renderer."""
+        for holder in (self._drawer, self._window):
+            if holder is not None:
+                holder.close()
+        self._drawer = self._window = None
+
+
+def _as_numbers(actions: ArrayLike) -> F64Array:
+    """Return `actions` as float64; raise a PolicyError if they are not numbers, or lists of different lengths."""
+    try:
+        given = np.asarray(actions)
+    except ValueError:
+        given = np.array(None)
+    if given.dtype.kind not in "biuf":
+        raise PolicyError(f"an action must be an array of numbers in [-1, 1], got {actions!r}.")
+    return given.astype(np.float64)
+
+
+def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads: int) -> Task:
+    """Return the task of environment `name`; check the names of the options of task, body and pictures."""
+    environment = ENVIRONMENTS.find(name)
+    of_body = environment.body.Options
+    names = {*setting_fields(environment.options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
+    for option in options:
+        if option not in names:
+            known = ", ".join(nearest_first(option, names))
+            raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
+    if setting_fields(of_body):
+        environment = environment.with_body_options(of_body.of(options))
+    simulator = partial(CpuSimulator, num_threads=num_threads)
+    return environment.make(num_envs, environment.options.of(options), simulator)
+
+
+class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
+    """One episode of a task at a time. Actions lie in [-1, 1]; a step takes 0.1 s of simulated time.
+
+    A copy, or one that was pickled, is a new environment with the same arguments: reset it first.
+    """
 
     # RUF012: the type is Gymnasium's own.
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012
@@ -28,6 +174,7 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
             options: Options of the task, such as those of `MazeOptions`, and of its body; `width`, `height` and
                 `camera` (`follow` or `top`) of pictures.
         """
+        EzPickle.__init__(self, name, render_mode, **options)
         self._adapter = TaskAdapter(name, 1, render_mode, self.metadata["render_modes"], options)
         self.task = self._adapter.task
         """The task with its simulation, to look at."""
@@ -42,14 +189,18 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
         super().reset(seed=seed)
         episode_seed = self._adapter.draw_seed(self.np_random) if seed is None else seed
         self._adapter.reset(np.array([0]), [episode_seed])
-        return self._adapter.observation()[0], self._adapter.info_of(0)
+        return self._adapter.observation()[0], self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[F64Array, SupportsFloat, bool, bool, dict[str, Any]]:
         """Advance by 0.1 s. A divergence terminates the episode; Gymnasium's wrapper applies the time limit."""
         adapter = self._adapter
         adapter.step(np.array([0]), [action])
         reward = float(adapter.task.reward[0])
-        return adapter.observation()[0], reward, bool(adapter.ended[0]), False, adapter.info_of(0)
+        return adapter.observation()[0], reward, bool(adapter.ended[0]), False, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        found = {name: values[0] for name, values in self._adapter.info().items()}
+        return {name: value if isinstance(value, np.ndarray) else value.item() for name, value in found.items()}
 
     def render(self) -> Picture | None:  # type: ignore[override] - never a list of pictures
         """Return a picture [H, W, 3]; None in mode `human`, in which every step and reset updates the window."""

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import EzPickle
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from shes.checked import checked
 from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
-from shes.gymnasium.adapter import TaskAdapter
+from shes.gymnasium.env import TaskAdapter
 from shes.machine import num_cores
 from shes.settings import Ge
 from shes.types import BoolArray, F64Array, IntArray, is_whole
@@ -27,8 +28,11 @@ from shes.types import BoolArray, F64Array, IntArray, is_whole
 _RENDER_MODES = ["rgb_array"]
 
 
-class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
-    """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time."""
+class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
+    """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time.
+
+    A copy, or one that was pickled, is a new environment with the same arguments: reset it first.
+    """
 
     @checked
     def __init__(
@@ -53,8 +57,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             options: Options of the task, such as those of `MazeOptions`, and of its body; `width`, `height` and
                 `camera` (`follow` or `top`) of pictures.
         """
-        threads = num_threads or num_cores()
-        self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
+        EzPickle.__init__(self, name, num_envs, max_episode_steps, render_mode, autoreset_mode, num_threads, **options)
+        self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, num_threads or num_cores())
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError as error:
@@ -71,8 +75,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._max_steps = _step_limit(None if max_episode_steps == -1 else max_episode_steps)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
-        self._has_ended: BoolArray = np.zeros(num_envs, dtype=np.bool_)
-        self._is_ready: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        self._has_ended, self._is_ready = np.zeros((2, num_envs), np.bool_)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -150,12 +153,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         final_obs = np.full(self.num_envs, None, dtype=object)  # None where an episode has not ended, as in Gymnasium
         for i in ids:
             final_obs[i] = observation[i]
-        final = {
-            "final_obs": final_obs,
-            "_final_obs": self._has_ended.copy(),
-            "final_info": self._info(ids),
-            "_final_info": self._has_ended.copy(),
-        }
+        final = {"final_obs": final_obs, "final_info": self._info(ids)}
+        final |= {f"_{name}": self._has_ended.copy() for name in final}
         self._start(ids, [None] * self.num_envs)
         self._has_ended[:] = False
         return final

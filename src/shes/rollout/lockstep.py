@@ -24,11 +24,10 @@ from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
 from shes.es.statistics import Moments
-from shes.host_arrays import to_host
 from shes.rollout.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
 from shes.rollout.exploration import Exploration
 from shes.rollout.snapshots import SnapshotRecorder
-from shes.types import BoolArray, F32Array, F64Array, IntArray
+from shes.types import BoolArray, F32Array, F64Array, IntArray, to_host
 
 NumberedTask = tuple[int, EpisodeTask]
 """A task with its number."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from shes.agents.agent import AgentBatch
 from shes.envs.episode_batch import EpisodeBatch
-from shes.host_arrays import to_host
 from shes.rollout.episodes import EpisodeTask, Snapshot
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 
 class SnapshotRecorder:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.agents.agent import AgentDesign
-from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.machine import free_memory, num_cores

@@ -20,10 +20,9 @@ import numpy as np
 from shes.agents.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.agents.mlp import MLP
 from shes.checked import checked
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.root import yaw
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, open_run

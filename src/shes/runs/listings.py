@@ -83,10 +83,10 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
     if agents:
-        rows = [(name, it.env, *_scores(it.evaluation), f"{it.env_steps:,}") for name, it in agents.items()]
+        rows = [(name, it.env, *_scores(it.evaluation), f"{it.env_steps / 1e6:.1f}") for name, it in agents.items()]
         parts += [
             Table(("agent", "environment", "score", "constant", "random", "steps"), rows),
-            "Score: mean and standard error over fresh episodes. Steps: environment steps of training.",
+            "Score: mean and standard error over fresh episodes. Steps: environment steps of training, in millions.",
             "Constant, random: score with the best constant controller, and with random goals, on the same episodes.",
             *(f"{name} {agent.description.rstrip('.')}." for name, agent in agents.items()),
         ]
@@ -126,7 +126,7 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
             **{each: value for each, value in state.items() if each != "problem" or value is not None},
             "levels": levels,
             "started": record.get("started"),
-            "command": " ".join(map(str, record.get("command", []))),
+            "command": " ".join(map(str, record.get("command", []))).replace("__main__.py ", "shes "),
         }
         shown = facts
     else:

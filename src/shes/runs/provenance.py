@@ -31,9 +31,11 @@ def provenance(device: str, packages: Iterable[str] = ()) -> dict[str, Any]:
     for name in (*_PACKAGES, *packages):
         with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
+    file = Path(sys.argv[0])
+    program = ["python", "-m", file.parent.name] if file.name == "__main__.py" else [file.name]
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "command": [*program, *sys.argv[1:]],
         "versions": versions,
         "git_commit": _git_commit(),
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},

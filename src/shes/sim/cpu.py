@@ -9,20 +9,13 @@ import numpy as np
 from mujoco.batch import Batch
 
 from shes.sim.simulator import Simulator
-from shes.types import F64Array, IntArray
+from shes.types import IntArray
 
 logger = logging.getLogger("shes.mujoco")
 logger.addHandler(logging.NullHandler())  # without it Python prints to stderr if logging is not configured
 
-_DIVERGENCE = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-        mujoco.mjtWarning.mjWARN_BADCTRL,
-    )
-]
+_DIVERGENCE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+"""Numbers of the warnings after which MuJoCo resets a simulation within a step."""
 
 
 def log_physics_warnings() -> None:
@@ -59,13 +52,9 @@ class CpuSimulator(Simulator):
         self.qvel = self._batch.bind("qvel")
         self.ctrl = self._batch.bind("ctrl")
         self._default = self._batch.state[0].copy()
-        self._warmstart, self._time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
-        # The physics state; the controls are written before every step.
-        self._parts = (self.qpos, self.qvel, self._warmstart, self._time.reshape(num_sims, 1))
-        # Counters [N, kinds] of the warnings after which MuJoCo resets a simulation within a step.
-        first, last = min(_DIVERGENCE), max(_DIVERGENCE)
-        self._counters = self._batch.warning[:, first : last + 1, 1]
-        assert sorted(_DIVERGENCE) == list(range(first, last + 1)), "MuJoCo renumbered its warnings"
+        warmstart, time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
+        self.state_parts = (self.qpos, self.qvel, warmstart, time.reshape(num_sims, 1))
+        self._counters = self._batch.warning[:, _DIVERGENCE, 1]  # [N, kinds]
         self.diverged = np.zeros(num_sims, dtype=np.bool_)
 
     def reset(self, ids: IntArray) -> None:
@@ -73,18 +62,6 @@ class CpuSimulator(Simulator):
         self._batch.state[ids] = self._default
         self._batch.warning[ids] = 0  # a reset within a step clears them first, so a divergence reads 1
         self.diverged[ids] = False
-
-    def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the physics states of simulations `ids` [ids, S]."""
-        return np.concatenate([part[ids] for part in self._parts], axis=1)
-
-    def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Set the physics states of simulations `ids` to `states` [ids, S]."""
-        self.reset(ids)
-        start = 0
-        for part in self._parts:
-            part[ids] = states[:, start : start + part.shape[1]]
-            start += part.shape[1]
 
     def advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""

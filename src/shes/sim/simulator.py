@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from time import perf_counter
 from types import ModuleType
 from typing import ClassVar
 
 import mujoco
+import numpy as np
 
-from shes.errors import ConfigError
-from shes.types import BoolArray, F64Array, IntArray
-
-_NO_STATES = (
-    "{} cannot copy physics states, which branched episodes start from. Define `states` and `set_states` in it, "
-    "or set --primitive-estimate episode."
-)
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 
 class Simulator(ABC):
@@ -38,6 +34,8 @@ class Simulator(ABC):
     """Controls [N, nu]."""
     diverged: BoolArray
     """Whether a simulation has diverged since its reset [N]. MuJoCo has then reset it to a finite state."""
+    state_parts: Sequence[F64Array]
+    """qpos, qvel, the solver's warm start [N, nv] and the time [N, 1]: all that a step depends on but the controls."""
 
     @property
     def physics_s(self) -> float:
@@ -49,17 +47,21 @@ class Simulator(ABC):
         """Reset simulations `ids` to the model's default state, exactly, and clear `diverged`."""
 
     def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the physics states of simulations `ids` [ids, S], as a NumPy array.
+        """Return copies of `state_parts` of simulations `ids` [ids, S], as a NumPy array; waits for a device.
 
-        A state is qpos, qvel, the solver's warm start and the time: everything but the controls that the next step
-        depends on. After `set_states`, here or in another simulator of the same class and model, a simulation
-        continues bit-identically.
+        After `set_states`, here or in another simulator of the same class and model, a simulation continues
+        bit-identically.
         """
-        raise ConfigError(_NO_STATES.format(type(self).__name__))
+        rows = self.xp.asarray(ids)
+        return np.asarray(to_host(np.concatenate([part[rows] for part in self.state_parts], axis=1)), dtype=np.float64)
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
         """Set the physics states of simulations `ids` to `states` [ids, S], and clear `diverged`."""
-        raise ConfigError(_NO_STATES.format(type(self).__name__))
+        self.reset(ids)
+        rows, start = self.xp.asarray(ids), 0
+        for part in self.state_parts:
+            end = start + part.shape[1]
+            part[rows], start = self.xp.asarray(states[:, start:end], dtype=part.dtype), end
 
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""

@@ -15,17 +15,16 @@ does not fit is left out of the physics, so an overflow is an error.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from shes.errors import ConfigError
-from shes.host_arrays import to_host
 from shes.sim.simulator import Simulator
-from shes.sim.warp_device import WarpDevice, WarpTimer, is_out_of_memory, load_warp
-from shes.types import F64Array, IntArray
+from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
+from shes.types import IntArray
 
 _MAX_CONTACTS = 2**31 - 1
 """Largest number of contacts of all simulations together."""
@@ -38,42 +37,8 @@ _TOUCHES_OF_OTHERS = 3
 """Geoms that another shape touches at once: a block touches the ground and two walls."""
 
 
-@dataclass(frozen=True)
-class BufferSizes:
-    """Buffer sizes per simulation."""
-
-    nconmax: int
-    """Contacts, or pairs of geoms close enough to be tested, on average over all simulations."""
-    njmax: int
-    """Constraint rows of each simulation: contacts, joint limits, friction losses, equalities."""
-
-
-@dataclass(frozen=True)
-class BufferPeaks:
-    """Largest use of the buffers since the simulator was made."""
-
-    contacts: int
-    """Contacts, or pairs of geoms to test, of all simulations together."""
-    constraints: int
-    """Constraint rows of one simulation."""
-
-    def check(self, sizes: BufferSizes, num_sims: int) -> None:
-        """Raise ConfigError if a buffer of `sizes` overflowed, so that contacts or constraints were left out."""
-        if self.contacts > sizes.nconmax * num_sims:
-            raise ConfigError(
-                f"mujoco-warp's contact buffer overflowed: {self.contacts} contacts or close pairs of geoms in "
-                f"{num_sims} simulations, room for {sizes.nconmax} each (nconmax), so some were left out. "
-                f"Set --nconmax to {math.ceil(1.5 * self.contacts / num_sims)}."
-            )
-        if self.constraints > sizes.njmax:
-            raise ConfigError(
-                f"mujoco-warp's constraint buffer overflowed: {self.constraints} rows in one simulation, room for "
-                f"{sizes.njmax} (njmax), so some were left out. Set --njmax to {math.ceil(1.5 * self.constraints)}."
-            )
-
-
-def default_sizes(model: mujoco.MjModel) -> BufferSizes:
-    """Return sizes for every moving geom touching the ground, and blocks also touching walls.
+def default_sizes(model: mujoco.MjModel) -> tuple[int, int]:
+    """Return `nconmax` and `njmax` for every moving geom touching the ground, and blocks also touching walls.
 
     The number of contacts is doubled, because a pair of geoms takes a place while it is tested for contact.
     """
@@ -85,7 +50,7 @@ def default_sizes(model: mujoco.MjModel) -> BufferSizes:
     is_pyramid = model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
     rows = max(1, 2 * (dimensions - 1)) if is_pyramid else dimensions
     others = int(np.count_nonzero(model.jnt_limited)) + int(np.count_nonzero(model.dof_frictionloss)) + 6 * model.neq
-    return BufferSizes(nconmax=max(8, 2 * contacts), njmax=max(8, rows * contacts + others))
+    return max(8, 2 * contacts), max(8, rows * contacts + others)
 
 
 class WarpSimulator(Simulator):
@@ -107,8 +72,10 @@ class WarpSimulator(Simulator):
             model: A model whose state is qpos and qvel only.
             num_sims: Number of simulations.
             device: `warp-cpu` or `cuda`.
-            nconmax: Size of the contact buffer per simulation, on average; by default from the model's geoms.
-            njmax: Size of each simulation's constraint buffer, in rows; by default from the model's geoms and limits.
+            nconmax: Size of the contact buffer per simulation, on average: contacts, or pairs of geoms close enough to
+                be tested. By default from the model's geoms.
+            njmax: Size of each simulation's constraint buffer: rows for contacts, joint limits, friction losses and
+                equalities. By default from the model's geoms and limits.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
@@ -117,10 +84,10 @@ class WarpSimulator(Simulator):
         self._kernels = warp_kernels
         _check_state(model)
         default = default_sizes(model)
-        self.buffers = BufferSizes(nconmax or default.nconmax, njmax or default.njmax)
-        if num_sims * self.buffers.nconmax > _MAX_CONTACTS:
+        self.nconmax, self.njmax = nconmax or default[0], njmax or default[1]
+        if num_sims * self.nconmax > _MAX_CONTACTS:
             raise ConfigError(
-                f"{num_sims} simulations with room for {self.buffers.nconmax} contacts each are more than mujoco-warp "
+                f"{num_sims} simulations with room for {self.nconmax} contacts each are more than mujoco-warp "
                 f"supports ({_MAX_CONTACTS:,}). Set --nconmax or --chunk-size lower."
             )
         self.model = model
@@ -129,7 +96,7 @@ class WarpSimulator(Simulator):
         with self._warp.ScopedDevice(self._device.warp_device):
             self._allocate()
         self._graphs: dict[int, Any] = {}
-        self._timers: list[WarpTimer] = []
+        self._timers: list[Callable[[], float]] = []  # of steps whose time is not in `_device_s` yet
         self._device_s = 0.0
         self.reset(np.arange(num_sims))
 
@@ -143,9 +110,7 @@ class WarpSimulator(Simulator):
         self._model.opt.warn_overflow = 0  # no prints from kernels: `check_buffers` reports overflows
         self._model.callback.control = self._watch
         self._model.callback.contactfilter = self.align_tangents
-        self._data: Any = self._mujoco_warp.make_data(
-            self.model, self.num_sims, nconmax=self.buffers.nconmax, njmax=self.buffers.njmax
-        )
+        self._data: Any = self._mujoco_warp.make_data(self.model, self.num_sims, nconmax=self.nconmax, njmax=self.njmax)
         size = self.model.nq + 2 * self.model.nv + 1
         self._kept = wp.zeros((self.num_sims, size), dtype=wp.float32)
         self._wanted_ctrl = wp.zeros((self.num_sims, self.model.nu), dtype=wp.float32)
@@ -157,29 +122,16 @@ class WarpSimulator(Simulator):
         self.qvel = view(self._data.qvel)
         self.ctrl = view(self._wanted_ctrl)
         self.diverged = view(self._has_diverged)
-        self._time, self._warmstart = view(self._data.time), view(self._data.qacc_warmstart)
+        time = view(self._data.time).reshape(self.num_sims, 1)
+        self.state_parts = (self.qpos, self.qvel, view(self._data.qacc_warmstart), time)
         self._active = view(self._is_active)
 
     def reset(self, ids: IntArray) -> None:
         """Reset simulations `ids` to the model's default state, time and the solver's warm start included."""
         ids = self.xp.asarray(ids)
         self.qpos[ids] = self.xp.asarray(self.model.qpos0, dtype=self.xp.float32)
-        for array in (self.qvel, self.ctrl, self._warmstart, self._time, self.diverged):
+        for array in (*self.state_parts[1:], self.ctrl, self.diverged):
             array[ids] = 0
-
-    def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the physics states of simulations `ids` [ids, S]; waits for the device."""
-        rows = self.xp.asarray(ids)
-        parts = (self.qpos[rows], self.qvel[rows], self._warmstart[rows], self._time[rows, None])
-        return to_host(self.xp.concatenate(parts, axis=1)).astype(np.float64)
-
-    def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Set the physics states of simulations `ids` to `states` [ids, S]."""
-        self.reset(ids)
-        rows, values = self.xp.asarray(ids), self.xp.asarray(states.astype(np.float32))
-        nq, nv = self.model.nq, self.model.nv
-        self.qpos[rows], self.qvel[rows] = values[:, :nq], values[:, nq : nq + nv]
-        self._warmstart[rows], self._time[rows] = values[:, nq + nv : -1], values[:, -1]
 
     def advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
@@ -193,25 +145,34 @@ class WarpSimulator(Simulator):
             self._active[self.xp.asarray(ids)] = True
         if nstep not in self._graphs:
             self._graphs[nstep] = self._capture(nstep)
-        with self._device.timer() as timer:
+        with self._device.timed(self._timers):
             self._warp.capture_launch(self._graphs[nstep])
-        self._timers.append(timer)
 
     @property
     def physics_s(self) -> float:
         """Seconds that the device has spent on steps so far; waits for the device."""
         while self._timers:
-            self._device_s += self._timers.pop().seconds()
+            self._device_s += self._timers.pop()()
         return self._device_s
 
-    def peaks(self) -> BufferPeaks:
-        """Return the largest use of the buffers so far; waits for the device."""
-        contacts, constraints = (int(array.numpy().max()) for array in (self._peak_contacts, self._peak_constraints))
-        return BufferPeaks(contacts, constraints)
+    def peaks(self) -> tuple[int, int]:
+        """Return the most contacts or pairs of all simulations, and constraint rows of one; waits for the device."""
+        return int(self._peak_contacts.numpy()[0]), int(self._peak_constraints.numpy().max())
 
     def check_buffers(self) -> None:
         """Check that the buffers have sufficed; waits for the device. See `Simulator.check_buffers`."""
-        self.peaks().check(self.buffers, self.num_sims)
+        contacts, rows = self.peaks()
+        if contacts > self.nconmax * self.num_sims:
+            raise ConfigError(
+                f"mujoco-warp's contact buffer overflowed: {contacts} contacts or close pairs of geoms in "
+                f"{self.num_sims} simulations, room for {self.nconmax} each (nconmax), so some were left out. "
+                f"Set --nconmax to {math.ceil(1.5 * contacts / self.num_sims)}."
+            )
+        if rows > self.njmax:
+            raise ConfigError(
+                f"mujoco-warp's constraint buffer overflowed: {rows} rows in one simulation, room for {self.njmax} "
+                f"(njmax), so some were left out. Set --njmax to {math.ceil(1.5 * rows)}."
+            )
 
     def _capture(self, nstep: int) -> Any:
         """Return the graph of `nstep` substeps. The first call compiles the kernels, which takes up to a minute."""

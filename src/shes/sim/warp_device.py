@@ -9,7 +9,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import metadata
 from tempfile import TemporaryFile
@@ -54,23 +54,19 @@ def _check_versions() -> None:
     """Raise a ConfigError if mujoco-warp or this package needs another version of a package."""
     from packaging.requirements import Requirement
 
-    for package, extra in (("shes", "warp"), ("mujoco-warp", "")):
-        for each in map(Requirement, _found(metadata.requires, package) or ()):
-            version = _found(metadata.version, each.name) if each.name in ("mujoco", *_PACKAGES) else None
-            is_ours = each.marker is None or each.marker.evaluate({"extra": extra})
-            if version is not None and is_ours and not each.specifier.contains(version, prereleases=True):
-                raise ConfigError(
-                    f"{package} needs {each.name}{each.specifier}, got {version}. Install compatible versions: "
-                    "pip install 'shes[gpu]', or 'shes[warp]' for --device warp-cpu alone."
-                )
-
-
-def _found(ask: Callable[[str], Any], package: str) -> Any:
-    """Return `ask(package)`; None if the package is not installed, which its import reports."""
-    try:
-        return ask(package)
-    except metadata.PackageNotFoundError:
-        return None
+    for package in ("shes", "mujoco-warp"):
+        with suppress(metadata.PackageNotFoundError):  # one that is not installed is told by its import
+            for each in map(Requirement, metadata.requires(package) or ()):
+                if each.name not in ("mujoco", *_PACKAGES) or (
+                    each.marker and not each.marker.evaluate({"extra": "warp"})
+                ):
+                    continue
+                version = metadata.version(each.name)
+                if not each.specifier.contains(version, prereleases=True):
+                    raise ConfigError(
+                        f"{package} needs {each.name}{each.specifier}, got {version}. Install compatible versions: "
+                        "pip install 'shes[gpu]', or 'shes[warp]' for --device warp-cpu alone."
+                    )
 
 
 @cache
@@ -99,21 +95,6 @@ def start_warp() -> str:
 def is_out_of_memory(error: BaseException) -> bool:
     """Return whether an error of Warp, CuPy or NumPy means that memory ran out: by its type, or only by its text."""
     return isinstance(error, MemoryError) or any(text in str(error).lower() for text in _OUT_OF_MEMORY)
-
-
-class WarpTimer:
-    """Time that a device spends on some of its work."""
-
-    measured_s: float = 0.0
-    events: tuple[Any, ...] = ()
-    elapsed: Callable[[Any, Any], float]
-
-    def seconds(self) -> float:
-        """Return the time in seconds; waits until the work is done."""
-        if not self.events:
-            return self.measured_s
-        self.events[1].synchronize()
-        return self.elapsed(*self.events) / 1e3
 
 
 class WarpDevice:
@@ -182,19 +163,19 @@ class WarpDevice:
             self.xp.get_default_memory_pool().free_all_blocks()
 
     @contextmanager
-    def timer(self) -> Generator[WarpTimer, None, None]:
-        """Measure the time that the device spends on the work issued in the context."""
-        timer = WarpTimer()
+    def timed(self, timers: list[Callable[[], float]]) -> Generator[None, None, None]:
+        """Append a function to `timers` that returns the seconds of the work in the context, once that is done."""
         if self.xp is np:
             start = perf_counter()
-            yield timer
-            timer.measured_s = perf_counter() - start
+            yield
+            seconds = perf_counter() - start
+            timers.append(lambda: seconds)
             return
-        timer.events = tuple(self.xp.cuda.Event() for _ in range(2))
-        timer.events[0].record(self._stream)
-        yield timer
-        timer.events[1].record(self._stream)
-        timer.elapsed = self.xp.cuda.get_elapsed_time
+        begin, end = (self.xp.cuda.Event() for _ in range(2))
+        begin.record(self._stream)
+        yield
+        end.record(self._stream)
+        timers.append(lambda: (end.synchronize(), self.xp.cuda.get_elapsed_time(begin, end))[1] / 1e3)
 
     def synchronize(self) -> None:
         """Wait until all issued work is done."""

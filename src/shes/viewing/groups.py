@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -36,8 +36,6 @@ class RunData:
     name: str
     """Its path, or its name as a shipped agent."""
     config: TrainConfig
-    record: dict[str, Any]
-    """Content of `config.json`."""
     tables: dict[str, Table]
     """`progress` and `evaluation`; a table that is missing or damaged is empty."""
     is_damaged: bool
@@ -46,8 +44,7 @@ class RunData:
     """Faults found while this run was read or played."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Group:
+class Group(NamedTuple):
     """Runs with equal settings and different seeds, and primitives of such runs. They are drawn as one curve."""
 
     number: int
@@ -90,15 +87,8 @@ def read_run(folder: RunFolder) -> RunData:
             is_damaged = True
             notes.append(f"Curves are left out: {error}")
         tables[path.stem] = {name: np.array(values) for name, values in columns.items()}
-    return RunData(
-        folder=folder,
-        name=_name(folder),
-        config=folder.read_config(),
-        record=folder.read_record(),
-        tables=tables,
-        is_damaged=is_damaged,
-        notes=notes,
-    )
+    read = {"name": _name(folder), "config": folder.read_config(), "tables": tables}
+    return RunData(folder=folder, **read, is_damaged=is_damaged, notes=notes)
 
 
 def _name(folder: RunFolder) -> str:
@@ -116,10 +106,8 @@ def group_runs(runs: Sequence[RunData]) -> list[Group]:
         has_seed_twice = len(_divided(members, lambda run: seeds_of(run.folder))) < len(members)
         found += [[run] for run in members] if has_seed_twice else [members]
     labels = _labels([members[0] for members in found])
-    return [
-        Group(number=number, label=label + (f" ({len(members)} runs)" if len(members) > 1 else ""), runs=members)
-        for number, (members, label) in enumerate(zip(found, labels, strict=True))
-    ]
+    counts = [f" ({len(members)} runs)" if len(members) > 1 else "" for members in found]
+    return [Group(number, labels[number] + counts[number], members) for number, members in enumerate(found)]
 
 
 def _divided(items: Sequence[_T], key: Callable[[_T], Any]) -> list[list[_T]]:

@@ -1,4 +1,4 @@
-"""Plays episodes of a trained agent step by step, for videos and the viewer."""
+"""Plays episodes of a trained agent step by step, for videos and for `shes watch`, which shows them in a window."""
 
 from __future__ import annotations
 
@@ -6,26 +6,27 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from shes.agents.views import View
+from shes.checked import checked
+from shes.drawing.window import open_window
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.runs.build import open_run
 from shes.runs.evaluate import fresh_seeds
 from shes.runs.loaded_agent import Agent
+from shes.settings import Ge
 from shes.types import F64Array
 
 _TRAIL_STEPS = 150
 _ABOVE_GROUND_M, _LINE_RADIUS_M, _GOAL_RADIUS_M = 0.03, 0.05, 0.45
-_MOST_LISTED = 12
-"""Inputs of a controller up to which each is listed; of more, those whose names begin with one word are summed up."""
 _FEW_ALIKE = 3
-"""Inputs that begin with one word, such as those of the target, up to which they are listed all the same."""
+"""Inputs of a controller that begin with one word, up to which each is listed; more are summed up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +61,9 @@ class Playback:
         """Load `checkpoint` of `run`, called `label`; for the other arguments and errors see `render`."""
         opened = open_run(run, checkpoint)
         self._state, self._seed, self._shows_sensors = opened.state, seed, sensors
-        count = opened.state.generation
-        age = f"after {count} generation{'s' * (count != 1)}" if count else "untrained"
-        self._facts = (label, age) if label else (age,)
+        made = opened.state.generation
+        age = f"after {made} generation{'s' * (made != 1)}" if made else "untrained"
+        self._facts = (label, age)
         self.steps = steps or opened.config.evaluation_steps
         """Most control steps of an episode."""
         self._agent = Agent(opened)
@@ -112,17 +113,15 @@ class Playback:
 def input_words(view: View, task: EpisodeBatch) -> tuple[str, ...]:
     """Return names and values of what a controller with `view` sees in the first episode of `task`.
 
-    Of many inputs, the largest of those that begin with one word.
+    Of many inputs whose names begin with one word, their number and the largest.
     """
     names = view.names(task.observation_names)
     values = np.zeros((1, len(names)))
     view.write(task.observe(), task.heading, values)
-    position = {task.observation_names[column] for column in task.position_columns}
     alike: dict[str, dict[str, float]] = {}
     for name, value in zip(names, values[0].tolist(), strict=True):
         word = re.match(r"[^\W\d_]+", name)
-        key = name if len(names) <= _MOST_LISTED or name in position or word is None else word[0]
-        alike.setdefault(key, {})[name] = value
+        alike.setdefault(word[0] if word else name, {})[name] = value
     found = [f"controller sees {len(names)} value{'s' * (len(names) != 1)}"]
     for word, group in alike.items():
         if len(group) <= _FEW_ALIKE:
@@ -142,3 +141,28 @@ def _goal_and_trail(place: F64Array | None, trail: deque[F64Array], ground_m: fl
         return [*way, spot]
     goal = (*place, height)
     return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]
+
+
+@checked
+def watch(run: Path | str, *, checkpoint: str = "best", seed: Annotated[int, Ge(0)] | None = None) -> None:
+    """Show the episodes that `evaluate` runs in a window, in real time, until it is closed. It needs a display.
+
+    The window also shows what the controller sees, in words, and what the agent's sensors read, if it has any (Gather).
+
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        checkpoint: Checkpoint: `best`, `last` or the number of a generation.
+        seed: Seed of the episodes, as for `evaluate`.
+    """
+    playback = Playback(run, checkpoint, seed, sensors=True)
+    window = open_window(playback.task)
+    try:
+        for episode in count():
+            for number, step in enumerate(playback.play(playback.seed_of(episode))):
+                if not window.is_open:
+                    return
+                lines = (*step.facts, *step.inputs)
+                window.show(step.pose, step.markers, is_new_episode=number == 0, lines=lines)
+    finally:
+        window.close()
+        playback.task.close()

@@ -83,12 +83,10 @@ def _draw_panel(axis: Axes, groups: Sequence[Group], title: str, table: str, col
     axis.set_xlabel(X_AXES[x][0])
     axis.xaxis.set_major_locator(MaxNLocator(nbins=_TICKS))
     axis.grid(alpha=0.3)
-    drawn: list[MeanCurve] = []
-    for group in groups:
-        curve = column_curve([_columns(run, table, column, x) for run in group.runs], column, x)
+    drawn = [column_curve([_columns(run, table, column, x) for run in each.runs], column, x) for each in groups]
+    for group, curve in zip(groups, drawn, strict=True):
         color, style = _look(group)
         draw_mean_curve(axis, curve, color, group.label, style)
-        drawn.append(curve)
     return drawn
 
 

@@ -79,8 +79,11 @@ def render(
             stack.callback(playback.task.close)
             drawer = make_drawer(playback.task, size, size)
             stack.callback(drawer.close)
+            cameras = drawer.cameras if camera == "both" else (camera,)
+            if not {*cameras} <= {*drawer.cameras}:
+                raise ConfigError(f"this environment draws itself and has no camera {camera!r}. Omit --camera.")
             listener = on_step if playback is playbacks[0] else None
-            columns.append(_frames(playback, episode_seed, drawer, _cameras(drawer, camera), speed, listener))
+            columns.append(_frames(playback, episode_seed, drawer, cameras, speed, listener))
         write_video(target, _joined(columns))
     return target
 
@@ -94,26 +97,15 @@ def _shown(
     if not given or not names:
         raise ConfigError("render needs at least one run and one checkpoint: shes render RUN... --checkpoint best")
     count = max(len(given), len(names))
-    if len(given) not in (1, count) or len(names) not in (1, count):
+    if {len(given), len(names)} - {1, count}:
         raise ConfigError(
             f"{len(given)} runs need one checkpoint for all or one for each, got {len(names)}: {', '.join(names)}. "
             "Set --checkpoint."
         )
-    labels = [Path(run).name for run in given] if len(given) > 1 else [""] * count
+    labels = [Path(run).name for run in given] if len(given) > 1 else [""]
     if len(set(labels)) < len(set(map(str, given))):  # different runs whose folders have the same name
         labels = list(map(str, given))
-    one_each = given * count if len(given) == 1 else given
-    name_each = names * count if len(names) == 1 else names
-    return list(zip(one_each, name_each, labels, strict=True))
-
-
-def _cameras(drawer: Drawer, asked: str) -> Sequence[str]:
-    """Return the cameras to draw with; raise a ConfigError if the environment draws itself and lacks `asked`."""
-    if asked == "both":
-        return drawer.cameras
-    if asked not in drawer.cameras:
-        raise ConfigError(f"this environment draws itself and has no camera {asked!r}. Omit --camera.")
-    return (asked,)
+    return [(given[i % len(given)], names[i % len(names)], labels[i % len(labels)]) for i in range(count)]
 
 
 def _frames(

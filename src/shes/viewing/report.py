@@ -12,14 +12,13 @@ from html import escape
 from itertools import chain
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
 from shes.checked import checked
 from shes.errors import ShesError
 from shes.rollout.episodes import PARTS
-from shes.runs.config import TrainConfig
 from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.listings import run_state
 from shes.runs.make_config import make_config
@@ -28,17 +27,24 @@ from shes.runs.shipped import read_agent, shipped_name
 from shes.settings import Ge, Shown
 from shes.storage import write_atomically
 from shes.types import F64Array
-from shes.viewing.curve_figures import SECTIONS, curve_figure, panels_of
 from shes.viewing.curves import confidence_interval
 from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_text
-from shes.viewing.maps import MOST_EPISODES, map_figure, play_episodes, search_figure
 from shes.viewing.render import render
-from shes.viewing.report_page import Figure, cards, details, page, paragraph, plot, read_plotly, section, table
+from shes.viewing.report_figures import (
+    MOST_EPISODES,
+    SECTIONS,
+    Figure,
+    curve_figure,
+    map_figure,
+    panels_of,
+    play_episodes,
+    search_figure,
+)
+from shes.viewing.report_page import cards, details, page, paragraph, plot, read_plotly, section, table
 from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
+T = TypeVar("T")
 _MOST_SHOWN = 6
 """Groups that have a map and a video."""
 _VIDEO_STEPS, _VIDEO_PIXELS = 150, 320
@@ -94,40 +100,32 @@ def report(
             on_step(next(parts), total)
 
     figures: dict[str, Figure] = {}
-    found = _evaluated(read, begin_part, episodes=episodes, num_workers=num_workers, seed=seed)
+    found: dict[str, Evaluation] = {}
+    for run in read:
+        begin_part()
+        asked = {"episodes": episodes, "num_workers": num_workers, "seed": seed}
+        if evaluation := _attempt(run, "evaluation", evaluate, run.folder.path, **asked):
+            found[run.name] = evaluation
     maps = _maps(shown, begin_part, figures, episodes, seed, has_videos=video)
     returns, *diagnostics = _curves(groups, figures)
     rest = [_timing(read), _settings(read), _origins(read)]
     notes = [f"{name} is left out: {error}" for name, error in errors.items()]
     body = [_runs(groups, notes), _results(groups, found, episodes), returns, maps, *diagnostics, *rest]
-    title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(_envs(groups))}"
+    envs = dict.fromkeys(run.config.run.env for run in read)
+    title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(envs)}"
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
     text = page(f"Report: {title}", made, body, figures, plotly)
     write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
     return target
 
 
-def _attempt(run: RunData, what: str, make: Callable[_P, _T], *args: _P.args, **settings: _P.kwargs) -> _T | None:
+def _attempt(run: RunData, what: str, make: Callable[..., T], *args: Any, **settings: Any) -> T | None:
     """Return what `make` returns; if it cannot, add the reason to the notes of the run and return None."""
     try:
         return make(*args, **settings)
     except ShesError as error:
         run.notes.append(f"There is no {what}: {error}")
         return None
-
-
-def _envs(groups: Sequence[Group]) -> list[str]:
-    return list(dict.fromkeys(group.runs[0].config.run.env for group in groups))
-
-
-def _evaluated(runs: Sequence[RunData], begin_part: Callable[[], None], **settings: Any) -> dict[str, Evaluation]:
-    """Return the evaluations, with `settings`, of those runs that have one, by name."""
-    found: dict[str, Evaluation] = {}
-    for run in runs:
-        begin_part()
-        evaluation = _attempt(run, "evaluation", evaluate, run.folder.path, **settings)
-        found |= {} if evaluation is None else {run.name: evaluation}
-    return found
 
 
 def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes: int) -> str:
@@ -147,6 +145,8 @@ def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes:
 
 
 def _result_cells(found: Sequence[Evaluation]) -> list[str]:
+    """Return the cells of one evaluation over its episodes, or of several over their means."""
+
     def sample(column: str) -> F64Array:
         values = [np.asarray(getattr(each, column), dtype=np.float64) for each in found]
         return values[0] if len(found) == 1 else np.array([each.mean() for each in values])
@@ -170,7 +170,7 @@ def estimate(values: F64Array) -> str:
 def _curves(groups: Sequence[Group], figures: dict[str, Figure]) -> list[str]:
     """Return the `SECTIONS` of curves, each with a figure for each environment."""
     places: dict[str, list[str]] = {title: [] for title in SECTIONS}
-    for env in _envs(groups):
+    for env in dict.fromkeys(group.runs[0].config.run.env for group in groups):
         own = [group for group in groups if group.runs[0].config.run.env == env]
         panels = panels_of([run for group in own for run in group.runs])
         for title, found in places.items():
@@ -240,20 +240,19 @@ def _timing(runs: Sequence[RunData]) -> str:
 
 def _settings(runs: Sequence[RunData]) -> str:
     """Return the settings in which runs differ from each other or from their presets."""
-    columns = {run.name: _values(run.config) for run in runs}
+    configs = {run.name: run.config for run in runs}
     for run in runs:
         env, preset, algorithm = run.config.run.env, run.config.run.preset, run.config.run.algorithm
-        made = _attempt(run, "preset", make_config, env, preset, {"algorithm": algorithm})
-        columns |= {} if made is None else {f"preset {preset} of {algorithm} for {env}": _values(made)}
+        if made := _attempt(run, "preset", make_config, env, preset, {"algorithm": algorithm}):
+            configs[f"preset {preset} of {algorithm} for {env}"] = made
+    columns = {
+        name: {each: setting_text(value) for part in config.to_dict().values() for each, value in part.items()}
+        for name, config in configs.items()
+    }
     missing = dict.fromkeys(chain(*columns.values()), "-")
     differing = differing_settings([{**missing, **each} for each in columns.values()])
     rows = [(name, *(each.get(name, "-") for each in columns.values())) for name in differing]
     return section("Settings that differ", table(("setting", *columns), rows))
-
-
-def _values(config: TrainConfig) -> dict[str, str]:
-    """Return all settings of a run by name, as text."""
-    return {name: setting_text(value) for part in config.to_dict().values() for name, value in part.items()}
 
 
 def _runs(groups: Sequence[Group], notes: list[str]) -> str:
@@ -276,7 +275,7 @@ def _origins(runs: Sequence[RunData]) -> str:
     parts: list[str] = []
     for run in runs:
         agent = shipped_name(run.folder.path)
-        record = {name: value for name, value in run.record.items() if name != "config"}
+        record = {name: value for name, value in run.folder.read_record().items() if name != "config"}
         record |= {"made by": read_agent(agent).commands} if agent else {}
         parts.append(details(run.name, f"<pre>{escape(json.dumps(record, indent=2, default=str))}</pre>"))
     return section("Hardware, versions and commands", *parts)

@@ -11,9 +11,7 @@ from typing import Any
 
 import shes.viewing
 from shes.errors import MissingExtraError
-
-Figure = dict[str, Any]
-"""A figure of plotly: `data` and `layout`. Plotly reads texts as HTML, so those from files are escaped."""
+from shes.viewing.report_figures import Figure
 
 
 def read_plotly() -> str:

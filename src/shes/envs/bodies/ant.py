@@ -10,10 +10,9 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.root import yaw
 from shes.types import BoolArray, F64Array
 
 TORSO_HEIGHT_M = 0.75
@@ -141,27 +140,25 @@ class Ant(Body):
     def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup:
         """Return the four quarter turns, with `is_mirrored` the eight elements of the symmetry of the square."""
         # In the frame after a quarter turn to the left: x' = y, y' = -x, and the next leg becomes leg 1.
-        turned = ([2, 1], [1, -1])
-        turn = _view_element(turned, turned, turned, _NEXT_LEG, hip_sign=1)
+        turn = _view_element([2, 1], [1, -1], [1, -1], _NEXT_LEG, hip_sign=1)
         # Reflection reverses rotations about axes in the mirror plane, but not about the axis normal to it.
-        mirrored = ([1, 2], [1, -1])
-        mirror = _view_element(mirrored, mirrored, ([1, 2], [-1, 1]), _MIRRORED_LEG, hip_sign=-1)
+        mirror = _view_element([1, 2], [1, -1], [-1, 1], _MIRRORED_LEG, hip_sign=-1)
         controls = [_leg_element(_ACTUATOR_ORDER, legs, sign) for legs, sign in ((_NEXT_LEG, 1), (_MIRRORED_LEG, -1))]
         return dihedral_group(4, (turn, controls[0]), (mirror, controls[1]), is_mirrored=is_mirrored)
 
 
-_Plane = tuple[list[int], list[int]]
-"""Action of an element on the x and y of a vector: the component (1 or 2) that each comes from, and its sign."""
-
-
 def _view_element(
-    tilt: _Plane, velocity: _Plane, rotation: _Plane, legs: dict[int, int], hip_sign: int
+    source: list[int], sign: list[int], spin_sign: list[int], legs: dict[int, int], hip_sign: int
 ) -> SignedPermutation:
-    """Return the action of a group element on the egocentric view, from its actions on the parts."""
+    """Return the action of a group element on the egocentric view, from its actions on the parts.
+
+    `source` is the component, 1 or 2, that the x and y of a vector come from, and `sign` and `spin_sign` are the signs
+    of a vector and of an angular velocity.
+    """
     joints = _leg_element(tuple(_LEGS), legs, hip_sign)
-    index = [0, *tilt[0], *(2 + i for i in velocity[0]), 5, *(5 + i for i in rotation[0]), 8]
+    index = [0, *source, *(2 + i for i in source), 5, *(5 + i for i in source), 8]
     # Reflection reverses the rotation about the vertical, as it does those of the hips.
-    sign = [1, *tilt[1], *velocity[1], 1, *rotation[1], hip_sign]
+    sign = [1, *sign, *sign, 1, *spin_sign, hip_sign]
     return SignedPermutation(
         np.array([*index, *(9 + joints.source), *(17 + joints.source)]), np.array([*sign, *joints.sign, *joints.sign])
     )

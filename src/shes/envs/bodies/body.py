@@ -6,12 +6,19 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import mujoco
+import numpy as np
 
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.observation_spec import ObservationElement
 from shes.errors import ConfigError
 from shes.settings import Settings
 from shes.types import BoolArray, F64Array
+
+
+def yaw(quaternion: F64Array) -> F64Array:
+    """Return the heading [...], in radians, of the x axis rotated by unit quaternions w, x, y, z [..., 4]."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
 
 
 class Body(ABC):

@@ -33,36 +33,42 @@ class Point(Body):
     velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
         ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
     )
-    controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
     egocentric: ClassVar[tuple[ObservationElement, ...]] = velocity
+    controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
     control_unit: ClassVar[str] = "6 N"
     control_limit: ClassVar[float] = 1.0
     quaternion: ClassVar[slice | None] = None
+    start_height_m: ClassVar[float] = HEIGHT_M
+    """Initial height of the centre above the ground."""
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the sphere, its slide joints and its motors to `spec`."""
-        self._add_sphere(spec, ground_m + HEIGHT_M)
-
-    def _add_sphere(self, spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
-        """Add the sphere at `height`, with slide joints and motors along x and y."""
+        """Add the sphere, its slide joints and its motors to `spec`; a third coordinate is the height."""
+        height = ground_m + self.start_height_m
         body = spec.worldbody.add_body(name="torso", pos=[0, 0, height])
         body.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], mass=MASS_KG)
-        for name, axis in zip(self.controls, ([1, 0, 0], [0, 1, 0]), strict=True):
-            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=DAMPING)
+        for axis in "xyz"[: self.num_qpos]:
+            body.add_joint(
+                name=f"slide_{axis}",
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=[float(axis == each) for each in "xyz"],
+                ref=height if axis == "z" else 0.0,
+                damping=DAMPING,
+            )
         self.add_motors(spec, GEAR_N)
-        return body
 
     def heading(self, qpos: F64Array) -> F64Array:
         """Return zeros [N]."""
         return np.zeros_like(qpos[..., 0])
 
-    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write the velocity [N, 2]: the heading is always 0."""
-        out[:] = qvel
-
     def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
         """Return False [N]."""
         return np.zeros_like(qpos[..., 0], dtype=np.bool_)
+
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write the height [N], if it is a coordinate, and the velocity: the heading is always 0."""
+        num_heights = self.num_qpos - 2
+        out[:, :num_heights] = qpos[:, 2:]
+        out[:, num_heights:] = qvel
 
 
 class FallingPoint(Point):
@@ -73,14 +79,4 @@ class FallingPoint(Point):
         ["torso_vx", "torso_vy", "torso_vz"], "{}: velocity along a world axis", "m/s"
     )
     egocentric: ClassVar[tuple[ObservationElement, ...]] = (pose[2], *velocity)
-
-    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write height and velocity [N, 4]."""
-        out[:, 0] = qpos[:, 2]
-        out[:, 1:] = qvel
-
-    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the sphere, its slide joints and its motors to `spec`; the third coordinate is the height."""
-        height = ground_m + FALLING_HEIGHT_M
-        body = self._add_sphere(spec, height)
-        body.add_joint(name="slide_z", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], ref=height, damping=DAMPING)
+    start_height_m: ClassVar[float] = FALLING_HEIGHT_M

@@ -100,8 +100,16 @@ def dihedral_group(
         mirror: Action of the reflection, left to right, on the two.
         is_mirrored: Whether the group contains the reflections.
     """
-    views, controls = (_elements(num_turns, turn[i], mirror[i], is_mirrored=is_mirrored) for i in range(2))
-    inverses = [element.inverse() for element in controls]
+
+    def elements(turn: SignedPermutation, mirror: SignedPermutation) -> list[SignedPermutation]:
+        """Return every element: the rotations, then the reflections."""
+        turned = [SignedPermutation(np.arange(len(turn.source)), np.ones(len(turn.source)))]
+        for _ in range(num_turns - 1):
+            turned.append(turn.after(turned[-1]))
+        return turned + ([mirror.after(element) for element in turned] if is_mirrored else [])
+
+    views = elements(turn[0], mirror[0])
+    inverses = [element.inverse() for element in elements(turn[1], mirror[1])]
     return SymmetryGroup(
         num_turns=num_turns,
         is_mirrored=is_mirrored,
@@ -110,14 +118,3 @@ def dihedral_group(
         control_index=np.stack([each.source for each in inverses]),
         control_sign=np.stack([each.sign for each in inverses]),
     )
-
-
-def _elements(
-    num_turns: int, turn: SignedPermutation, mirror: SignedPermutation, *, is_mirrored: bool
-) -> list[SignedPermutation]:
-    """Return the signed permutation of every element: the rotations, then the reflections."""
-    size = len(turn.source)
-    turned = [SignedPermutation(np.arange(size), np.ones(size))]
-    for _ in range(num_turns - 1):
-        turned.append(turn.after(turned[-1]))
-    return turned + ([mirror.after(element) for element in turned] if is_mirrored else [])

@@ -15,15 +15,13 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world
-from shes.host_arrays import to_host
 from shes.settings import Ge, Le, Shared
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NEAR_M = 1.0
 """Least distance of a new goal. Within it, the reward of a step is 1 higher."""
 DISTANCE_SCALE = 0.001
 """Factor on the distance to the goal in observations."""
-_GOALS_AT_ONCE = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,18 +76,16 @@ class Flagrun(Task):
     def allocate(self) -> None:
         """Allocate goals, distances and the observation."""
         num_episodes = self.num_episodes
-        self._goal: F64Array = self.xp.ones((num_episodes, 2))
+        self.goal = self._goal = self.xp.ones((num_episodes, 2))
         self._offset: F64Array = self.xp.zeros((2, num_episodes))  # from robot to goal along x and y
         self._distance: F64Array = self.xp.ones(num_episodes)
         self._start_distance: F64Array = self.xp.ones(num_episodes)
         self._is_near: BoolArray = self.xp.zeros(num_episodes, dtype=np.bool_)
-        self._rngs: list[np.random.Generator | None] = [None] * num_episodes
-        self._offsets: F64Array = np.zeros((num_episodes, _GOALS_AT_ONCE, 2))  # from the robot to future goals
-        self._num_used: IntArray = np.zeros(num_episodes, dtype=np.int64)  # goals used of `_offsets`
-        self._has_begun: BoolArray = np.zeros(num_episodes, dtype=np.bool_)
+        self._rngs: list[np.random.Generator | None] = [None] * num_episodes  # None before the first reset
         # Copy of `time` on the host, where goals are drawn: no need to wait for a device.
         self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
+        self.reader = FlagrunReader(self.body, self.observation_size, self.proprioception)
 
     @classmethod
     def build_world(cls, body: Body, options: Any) -> mujoco.MjSpec:
@@ -109,16 +105,6 @@ class Flagrun(Task):
             *elements(["goal_distance"], "distance to the goal, in km", "km", low=0.0),
             *self.robot_elements(),
         )
-
-    @property
-    def goal(self) -> F64Array:
-        """Goals in the world [N, 2] in metres."""
-        return self._goal
-
-    @property
-    def reader(self) -> FlagrunReader:
-        """The reader of this task's observations, goals included, and actions."""
-        return FlagrunReader(self.body, self.observation_size, self.proprioception)
 
     @property
     def terminated(self) -> BoolArray:
@@ -142,24 +128,21 @@ class Flagrun(Task):
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the goal."""
-        return [ball((*to_host(self.goal[episode]), 0.5), 0.4, TARGET)]
+        return [ball((*to_host(self._goal[episode]), 0.5), 0.4, TARGET)]
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the goals of episodes `ids`; see `Task.reset_features`."""
         self._is_near[self.xp.asarray(ids)] = False
         self._host_time[ids] = 0
-        self._num_used[ids] = _GOALS_AT_ONCE
-        self._has_begun[ids] = True
         for i, rng in zip(ids.tolist(), rngs, strict=True):
             self._rngs[i] = rng
         self._move_goals(ids)
 
     def _move_goals(self, ids: IntArray) -> None:
-        for i in ids[self._num_used[ids] == _GOALS_AT_ONCE].tolist():
-            self._draw_goals(i)
+        """Draw the next goals of episodes `ids`."""
+        offsets = np.array([self._draw_offset(self._rngs[i]) for i in ids.tolist()])
         rows = self.xp.asarray(ids)
-        self._goal[rows] = self.position[rows] + self.xp.asarray(self._offsets[ids, self._num_used[ids]])
-        self._num_used[ids] += 1
+        self._goal[rows] = self.position[rows] + self.xp.asarray(offsets)
         # Not the lengths of the offsets: rounding must not make the distance differ from the start distance.
         self._measure()
         self._start_distance[rows] = self._distance[rows]
@@ -171,17 +154,13 @@ class Flagrun(Task):
         np.add(squares[0], squares[1], out=self._distance)
         np.sqrt(self._distance, out=self._distance)
 
-    def _draw_goals(self, episode: int) -> None:
-        """Draw the next goals of an episode, relative to the robot; equal to drawing them one at a time."""
-        rng, half_width, count = self._rngs[episode], self.options.goal_distance, 0
-        assert rng is not None, "the episode has not been reset"
-        self._num_used[episode] = 0
-        while count < _GOALS_AT_ONCE:
-            drawn = rng.uniform(-half_width, half_width, (_GOALS_AT_ONCE - count, 2))
-            squares = drawn * drawn
-            drawn = drawn[squares[:, 0] + squares[:, 1] >= NEAR_M**2]
-            self._offsets[episode, count : count + len(drawn)] = drawn
-            count += len(drawn)
+    def _draw_offset(self, rng: Any) -> tuple[float, float]:
+        """Draw a goal, relative to the robot."""
+        half_width = self.options.goal_distance
+        while True:
+            x, y = rng.uniform(-half_width, half_width, 2).tolist()
+            if x * x + y * y >= NEAR_M**2:
+                return x, y
 
     def update_features(self) -> F64Array:
         """Return the reward [N] of a step, then move the goals whose interval has ended."""
@@ -189,7 +168,8 @@ class Flagrun(Task):
         np.less(self._distance, NEAR_M, out=self._is_near)
         reward = 1 - self._distance / self._start_distance + self._is_near
         self._host_time += 1
-        due = np.flatnonzero((self._host_time % self.options.controller_interval == 0) & self._has_begun)
+        is_due = self._host_time % self.options.controller_interval == 0
+        due = np.array([i for i in np.flatnonzero(is_due).tolist() if self._rngs[i] is not None], np.int64)
         if len(due):
             self._move_goals(due)
         return reward

@@ -6,20 +6,19 @@ Source: specification shes is the SHES authors' HrlMuJoCoEnvs.jl; hiro is rllab'
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from shes.envs.bodies.body import Body
-from shes.envs.markers import FOOD, POISON, Marker, Rgba, ball, line
-from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
+from shes.envs.markers import FOOD, POISON, Marker, ball, line
+from shes.envs.observation_spec import ObservationElement
+from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
-from shes.host_arrays import to_host
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NUM_OBJECTS = 8
 """Number of objects of each kind: food and poison."""
@@ -46,6 +45,15 @@ FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 """Reward of an object of each kind."""
 
 
+def _outside_free_radius(places: F64Array) -> F64Array:
+    """Return those of `places` [any, 2] where objects may lie."""
+    return places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
+
+
+_LATTICE = _outside_free_radius(np.array([*product(np.arange(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, 2.0), repeat=2)]))
+"""Positions with even coordinates at which objects lie with specification hiro [any, 2]."""
+
+
 class Gather(Task):
     """Eight pieces of food (+1) and eight of poison (-1) lie between walls.
 
@@ -68,6 +76,7 @@ class Gather(Task):
     def allocate(self) -> None:
         """Allocate objects, distances and the observation."""
         n, xp = self.num_episodes, self.xp
+        self.sensor_rings = self.observation_names.index("food_0") + np.arange(2 * NUM_BINS).reshape(2, NUM_BINS)
         # Coordinates come first, [xy, N, kind, object], so that all x and all y are contiguous.
         self._places: F64Array = xp.zeros((2, n, 2, NUM_OBJECTS))
         self.present: BoolArray = xp.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
@@ -93,21 +102,21 @@ class Gather(Task):
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
         """The robot's qpos and qvel, readings of food and poison, time; with hiro the time precedes the readings."""
+        reading, width = "1 - d/6" if self.options.spec == "hiro" else "1 - d^2/8^2", 360 // NUM_BINS
         readings = tuple(
-            element
+            ObservationElement(
+                name=f"{kind}_{number}",
+                meaning=f"{reading} of the nearest {kind} at a bearing of {first} to {first + width} degrees from the "
+                "heading; 0 if none is in range",
+                low=0.0,
+                high=1.0,
+            )
             for kind in ("food", "poison")
-            for number in range(NUM_BINS)
-            for element in elements([f"{kind}_{number}"], _sector(kind, number, self.options.spec), low=0.0, high=1.0)
+            for number, first in enumerate(range(-180, 180, width))
         )
         if self.options.spec == "hiro":
-            return self.robot_elements() + self.time_elements() + readings
-        return self.robot_elements() + readings + self.time_elements()
-
-    @property
-    def sensor_rings(self) -> IntArray:
-        """Indices in the observation of the readings of food and of poison [2, NUM_BINS]."""
-        first = self.observation_names.index("food_0")
-        return first + np.arange(2 * NUM_BINS).reshape(2, NUM_BINS)
+            return self.robot_elements() + TIME_ELEMENTS + readings
+        return self.robot_elements() + readings + TIME_ELEMENTS
 
     @property
     def terminated(self) -> BoolArray:
@@ -134,7 +143,8 @@ class Gather(Task):
     @property
     def counts(self) -> dict[str, IntArray]:
         """Pieces of food and of poison collected [N]."""
-        return {"food": self.food, "poison": self.poison}
+        collected = NUM_OBJECTS - self.present.sum(axis=2)
+        return {"food": collected[:, 0], "poison": collected[:, 1]}
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the remaining objects as balls."""
@@ -148,50 +158,44 @@ class Gather(Task):
     def sensor_markers(self, episode: int) -> list[Marker]:
         """Return a ray and an arc for each reading that is not 0: its sector, and the distance that it tells."""
         readings = to_host(self._readings()[episode]).reshape(2, NUM_BINS)
-        return [
-            marker
-            for kind, color in enumerate((FOOD, POISON))
-            for number in np.flatnonzero(readings[kind]).tolist()
-            for marker in self._sector_markers(episode, number, float(readings[kind, number]), color)
-        ]
-
-    def _sector_markers(self, episode: int, number: int, reading: float, color: Rgba) -> list[Marker]:
-        """Return the ray and the arc of a `reading` of bin `number`."""
-        left = 1 - reading
-        distance = SENSOR_RANGE_M[self.options.spec] * (left if self.options.spec == "hiro" else left**0.5)
-        first = float(self.heading[episode]) - np.pi + number * _BIN_RAD
-        bearings = first + np.linspace(0, _BIN_RAD, _ARC_LINES + 1)
         x, y = to_host(self.position[episode])
-        arc = [(x + distance * np.cos(each), y + distance * np.sin(each), _RAY_HEIGHT_M) for each in bearings]
-        faint = (*color[:3], _RAY_OPACITY)
-        ends = [((x, y, _RAY_HEIGHT_M), arc[_ARC_LINES // 2]), *pairwise(arc)]
-        return [line(start, end, _RAY_RADIUS_M, faint) for start, end in ends]
+        markers = list[Marker]()
+        for kind, number in np.argwhere(readings).tolist():
+            left = 1 - readings[kind, number]
+            distance = SENSOR_RANGE_M[self.options.spec] * (left if self.options.spec == "hiro" else left**0.5)
+            first = float(self.heading[episode]) - np.pi + number * _BIN_RAD
+            bearings = first + np.linspace(0, _BIN_RAD, _ARC_LINES + 1)
+            arc = [(x + distance * np.cos(each), y + distance * np.sin(each), _RAY_HEIGHT_M) for each in bearings]
+            ends = [((x, y, _RAY_HEIGHT_M), arc[_ARC_LINES // 2]), *pairwise(arc)]
+            faint = (*(FOOD, POISON)[kind][:3], _RAY_OPACITY)
+            markers += [line(start, end, _RAY_RADIUS_M, faint) for start, end in ends]
+        return markers
 
     @property
     def objects(self) -> F64Array:
         """Positions of the objects [N, kind, object, xy] in metres, a view; kind 0 is food, kind 1 poison."""
         return np.moveaxis(self._places, 0, -1)
 
-    @property
-    def food(self) -> IntArray:
-        """Pieces of food collected [N]."""
-        return NUM_OBJECTS - self.present[:, 0].sum(axis=1)
-
-    @property
-    def poison(self) -> IntArray:
-        """Pieces of poison collected [N]."""
-        return NUM_OBJECTS - self.present[:, 1].sum(axis=1)
-
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the objects of episodes `ids`; see `Task.reset_features`."""
-        draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
-        drawn = np.stack([draw(rng, 2 * NUM_OBJECTS) for rng in rngs])  # [ids, object of any kind, xy]
+        drawn = np.stack([self._draw_places(rng) for rng in rngs])  # [ids, object of any kind, xy]
         places = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
         rows = self.xp.asarray(ids)
         self._places[:, rows] = self.xp.asarray(places)
         self.present[rows] = True
         self._best_return[rows] = 0
         self._measure()
+
+    def _draw_places(self, rng: np.random.Generator) -> F64Array:
+        """Draw positions of all objects [2 * NUM_OBJECTS, 2]: distinct ones of the lattice, or uniform ones."""
+        count = 2 * NUM_OBJECTS
+        if self.options.spec == "hiro":
+            return _LATTICE[rng.permutation(len(_LATTICE))[:count]]
+        places = np.empty((0, 2))
+        while len(places) < count:
+            drawn = rng.uniform(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, (2 * count, 2))
+            places = np.concatenate([places, _outside_free_radius(drawn)])
+        return places[:count]
 
     def _measure(self) -> None:
         """Compute offset and squared distance from every robot to its objects."""
@@ -260,38 +264,3 @@ class Gather(Task):
         readings = self.xp.zeros(2 * self.num_episodes * NUM_BINS)
         self.xp.maximum.at(readings, bins, intensity)
         return readings.reshape(self.num_episodes, 2 * NUM_BINS)
-
-
-def _sector(kind: str, number: int, spec: str) -> str:
-    """Return the meaning of reading `number` of `kind`."""
-    width = 360 // NUM_BINS
-    first = number * width - 180
-    reading = "1 - d/6" if spec == "hiro" else "1 - d^2/8^2"
-    return (
-        f"{reading} of the nearest {kind} at a bearing of {first} to {first + width} degrees from the heading; "
-        "0 if none is in range"
-    )
-
-
-def _lattice() -> F64Array:
-    """Return the positions [any, 2] with even coordinates at which objects lie with specification hiro."""
-    line = np.arange(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, 2.0)
-    places = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    return places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
-
-
-_LATTICE = _lattice()
-
-
-def _draw_lattice(rng: np.random.Generator, count: int) -> F64Array:
-    """Draw `count` distinct positions [count, 2] of the lattice."""
-    return _LATTICE[rng.permutation(len(_LATTICE))[:count]]
-
-
-def _draw_places(rng: np.random.Generator, count: int) -> F64Array:
-    """Draw `count` positions [count, 2], uniform in the activity square outside the free radius."""
-    places = np.empty((0, 2))
-    while len(places) < count:
-        drawn = rng.uniform(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, (2 * count, 2))
-        places = np.concatenate([places, drawn[(drawn**2).sum(axis=1) >= FREE_RADIUS_M**2]])
-    return places[:count]

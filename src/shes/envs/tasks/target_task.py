@@ -13,12 +13,11 @@ from shes.envs.bodies.body import Body
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
+from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
-from shes.host_arrays import to_host
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, to_host
 
 SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
@@ -40,9 +39,8 @@ class TargetOptions(FallOptions):
     evaluation_target: Coordinates | None = None
     """Target of evaluation in metres; none is the task's own."""
     waypoints: Coordinates | None = None
-    """Points on the way to the target, one after another, each passed within 3 m, or within 6 m if the next one is
-    nearer; help for training only. The reward is minus the length of the way that is left through them. Evaluation does
-    not use them."""
+    """Points on the path to the target, in order. Each is passed within 3 m, or within 6 m if the next one is nearer.
+    The reward of training is minus the remaining length of the path. Evaluation does not use them."""
 
     @property
     def has_random_target(self) -> bool:
@@ -87,6 +85,9 @@ class TargetTask(Task):
         """Targets [N, 2] or [N, 3] in metres."""
         self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
         self._observation: F64Array = self.xp.zeros((self.num_episodes, self.observation_size))
+        self.ends_early = self._min_cos_tilt is not None
+        if self.options.spec == "hiro":
+            self.primitive_view = self.primitive_view[: -len(self.own_target)]
         self.set_way(None)
 
     def set_way(self, way: F64Array | None) -> None:
@@ -123,14 +124,14 @@ class TargetTask(Task):
     def check_options(cls, options: Any) -> None:
         """Check the number of coordinates of the targets; see `Task.check_options`."""
         super().check_options(options)
-        for name in ("target", "evaluation_target"):
-            place = getattr(options, name)
-            if place is not None and len(place) != len(cls.own_target):
+        size = len(cls.own_target)
+        for name, place in (("target", options.target), ("evaluation_target", options.evaluation_target)):
+            if place is not None and len(place) != size:
+                flag = f"--{name.replace('_', '-')}"
                 raise ConfigError(
-                    f"{name} of {cls.name} must be {len(cls.own_target)} coordinates in metres, got {place}. "
-                    f"Set --{name.replace('_', '-')}."
+                    f"{name} of {cls.name} must be {size} coordinates in metres, got {place}. Set {flag}."
                 )
-        size, way = len(cls.own_target), options.waypoints
+        way = options.waypoints
         if way is not None and len(way) % size:
             raise ConfigError(f"waypoints of {cls.name} must be {size} coordinates each, got {way}. Set --waypoints.")
 
@@ -143,15 +144,15 @@ class TargetTask(Task):
         return spec
 
     @property
-    def observes_block(self) -> bool:
-        """Whether the block's position and velocity are observed."""
+    def _observed_axes(self) -> str:
+        """The block's axes, if its position and velocity are observed."""
         asked = getattr(self.options, "observe_block", None)
-        return bool(self.block_axes) and (self.options.spec == "shes" if asked is None else asked)
+        return self.block_axes if (self.options.spec == "shes" if asked is None else asked) else ""
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
         """The robot's qpos and the block's, their qvel, time, target."""
-        axes = self.block_axes if self.observes_block else ""
+        axes = self._observed_axes
         pose = elements([f"block_{axis}" for axis in axes], "{}: displacement of the block", "m")
         velocity = elements([f"block_v{axis}" for axis in axes], "{}: velocity of the block", "m/s")
         scale = "" if self._target_scale == 1 else f", times {self._target_scale}"
@@ -159,19 +160,13 @@ class TargetTask(Task):
             *self.body.pose,
             *pose,
             *self.velocity_elements((*self.body.velocity, *velocity)),
-            *self.time_elements(),
+            *TIME_ELEMENTS,
             *elements([f"target_{axis}" for axis in "xyz"[: len(self.own_target)]], f"{{}}{scale}", "m"),
         )
 
     @property
     def _target_scale(self) -> float:
         return self.target_scale if self.options.spec == "shes" else 1.0
-
-    @property
-    def primitive_view(self) -> IntArray:
-        """Indices in the observation that the primitive may see: with specification hiro, not the target."""
-        seen = np.arange(self.observation_size)
-        return seen[: -len(self.own_target)] if self.options.spec == "hiro" else seen
 
     @property
     def distance(self) -> F64Array:
@@ -186,11 +181,6 @@ class TargetTask(Task):
         for axis in range(1, offset.shape[1]):
             total = total + offset[:, axis]
         return np.sqrt(total)
-
-    @property
-    def ends_early(self) -> bool:
-        """Whether a fall ends episodes: in training with `max_tilt`."""
-        return self._min_cos_tilt is not None
 
     @property
     def fallen(self) -> BoolArray:
@@ -225,16 +215,13 @@ class TargetTask(Task):
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the targets of episodes `ids`; see `Task.reset_features`."""
-        chosen = np.array([self._choose_target(rng) for rng in rngs])
+        fixed = self.options.target
+        if self.options.evaluation:
+            fixed = self.options.evaluation_target or self.own_target
+        chosen = np.array([fixed or self.training_target(rng) for rng in rngs])
         rows = self.xp.asarray(ids)
         self.target[rows] = self.xp.asarray(chosen)
         self._next[rows] = 0
-
-    def _choose_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
-        """Return the target of an episode; only `training_target` draws from `rng`."""
-        if self.options.evaluation:
-            return self.options.evaluation_target or self.own_target
-        return self.options.target or self.training_target(rng)
 
     def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Return a target of training; called only if no option fixes it."""
@@ -252,9 +239,8 @@ class TargetTask(Task):
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
-        nq, nv = self.body.num_qpos, self.body.num_qvel
-        if self.observes_block:
-            nq, nv = nq + len(self.block_axes), nv + len(self.block_axes)
+        num_observed = len(self._observed_axes)
+        nq, nv = self.body.num_qpos + num_observed, self.body.num_qvel + num_observed
         out = self._observation
         out[:, :nq] = self.sim.qpos[:, :nq]
         self.write_velocity(self.sim.qvel[:, :nv], out[:, nq : nq + nv])

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,14 +17,13 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.episode_batch import EpisodeBatch, Reader
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.task_options import FallOptions, TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ShapeError, UnknownNameError
-from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.streams import EpisodePurpose, episode_stream
-from shes.types import BoolArray, F64Array, FloatArray, IntArray
+from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
 FRAME_SKIP = 5
 """Physics steps per control step."""
@@ -34,13 +33,14 @@ VELOCITY_CLIP = 10.0
 """Generalised velocities are clipped to this in observations, in m/s and rad/s; not with specification hiro."""
 TIME_SCALE = 0.001
 """Factor on the number of control steps in observations."""
+TIME_ELEMENTS = elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
+"""The element of the time."""
 
 SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
 """Makes a simulator from a model and the number of simulations."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TaskDescription:
+class TaskDescription(NamedTuple):
     """The task in words, for the documentation and `shes envs`."""
 
     reward: str
@@ -109,17 +109,27 @@ class Task(EpisodeBatch):
         self.action_size, self.control_limit = body.num_controls, body.control_limit
         self.sim = simulator(self.build_world(body, options).compile(), num_episodes)
         self.xp, self.starts_together = self.sim.xp, self.sim.starts_together
+        self.observation_names = tuple(element.name for element in self.observation_spec)
+        self.observation_size = len(self.observation_names)
+        own = [self.observation_names.index(element.name) for element in (*body.pose, *body.velocity)]
+        self.proprioception, self.primitive_view = np.array(own), np.arange(self.observation_size)
+        self.position_columns = self.proprioception[:2]
+        self.reader = BodyReader(body, self.observation_size, self.proprioception)
         self.time = self.xp.zeros(num_episodes, dtype=np.int64)
         self.reward, self.running_return = (self.xp.zeros(num_episodes) for _ in range(2))
+        self.diverged, self.truncated = self.sim.diverged, self.xp.zeros(num_episodes, dtype=np.bool_)
         self._heading: F64Array | None = None  # computed when it is first read after a step
-        max_tilt = options.max_tilt if isinstance(options, FallOptions) else None
+        max_tilt: float | None = getattr(options, "max_tilt", None)
         if max_tilt is not None:
             body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
         self._min_cos_tilt = None if max_tilt is None or options.evaluation else float(np.cos(np.deg2rad(max_tilt)))
         self.allocate()
 
     def allocate(self) -> None:
-        """Allocate the task's own arrays, at the end of the constructor."""
+        """Allocate the task's own arrays, at the end of the constructor.
+
+        A task whose `primitive_view`, `sensor_rings` or `reader` is not that of its body sets it here.
+        """
 
     @classmethod
     def check_options(cls, options: Any) -> None:
@@ -165,37 +175,6 @@ class Task(EpisodeBatch):
         self.sim.check_buffers()
 
     @property
-    def observation_size(self) -> int:
-        """Number of observed values, O."""
-        return len(self.observation_spec)
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Name of each observed value."""
-        return tuple(element.name for element in self.observation_spec)
-
-    @property
-    def position_columns(self) -> IntArray:
-        """Indices in the observation of the robot's absolute x and y."""
-        return self.proprioception[:2]
-
-    @property
-    def proprioception(self) -> IntArray:
-        """Indices in the observation of the robot's qpos and qvel, in that order."""
-        columns = {name: index for index, name in enumerate(self.observation_names)}
-        return np.array([columns[element.name] for element in (*self.body.pose, *self.body.velocity)])
-
-    @property
-    def primitive_view(self) -> IntArray:
-        """Indices in the observation that the primitive may see; by default all."""
-        return np.arange(self.observation_size)
-
-    @property
-    def reader(self) -> BodyReader:
-        """The reader of this task's observations and actions."""
-        return BodyReader(self.body, self.observation_size, self.proprioception)
-
-    @property
     def position(self) -> F64Array:
         """Robots' positions [N, 2] in metres."""
         return self.body.position(self.sim.qpos)
@@ -223,11 +202,6 @@ class Task(EpisodeBatch):
         if self._min_cos_tilt is None:
             return fallen
         return fallen | (self.body.cos_tilt(self.sim.qpos) < self._min_cos_tilt)
-
-    @property
-    def diverged(self) -> BoolArray:
-        """Whether the physics has diverged since the reset [N]."""
-        return self.sim.diverged
 
     @property
     def counts(self) -> dict[str, IntArray]:
@@ -259,11 +233,6 @@ class Task(EpisodeBatch):
         else:
             np.maximum(velocity, -VELOCITY_CLIP, out=out)  # two ufuncs are faster than np.clip
             np.minimum(out, VELOCITY_CLIP, out=out)
-
-    @staticmethod
-    def time_elements() -> tuple[ObservationElement, ...]:
-        """Return the element of the time, as a tuple."""
-        return elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
 
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the physics states of episodes `ids` [ids, S]."""

@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.reader import ExternalReader, Locate, find_physics
+from shes.envs.external_reader import LARGEST, ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
@@ -157,14 +157,10 @@ class ExternalTask(EpisodeBatch):
 
     draws_itself = True
     control_limit = 1.0
-    # The contract's read-only properties: static facts are the reader's, live arrays are this object's.
-    reader = property(attrgetter("_reader"))
-    observation_size = property(attrgetter("_reader.observation_size"))
-    primitive_view = proprioception = property(attrgetter("_reader.primitive_view"))
+    # The contract's read-only properties.
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))
-    terminated, truncated = property(attrgetter("_terminated")), property(attrgetter("_truncated"))
-    fallen = property(attrgetter("_fallen"))
-    diverged, physics_s = property(attrgetter("_diverged")), property(attrgetter("_physics_s"))
+    terminated, fallen = property(attrgetter("_terminated")), property(attrgetter("_fallen"))
+    physics_s = property(attrgetter("_physics_s"))
     score, success = property(attrgetter("_score")), property(attrgetter("_success"))
 
     def __init__(self, environment: ExternalEnvironment, num_episodes: int) -> None:
@@ -174,20 +170,17 @@ class ExternalTask(EpisodeBatch):
         self._envs: list[gymnasium.Env[Any, Any] | None] = [None] * num_episodes
         env = self._env(0)
         with environment.explained("be used"):
-            self._reader = ExternalReader(env, environment.locate, environment.primitive_view)
-        self.action_size = self._reader.action_size
-        self.step_s = 1 / (env.metadata.get("render_fps") or 10)
+            self.reader = self._reader = ExternalReader(env, environment.locate, environment.primitive_view)
+            self.step_s = 1 / float(env.metadata.get("render_fps") or 10)
+        self.action_size, self.observation_size = self.reader.action_size, self.reader.observation_size
+        self.observation_names = tuple(f"{environment.name}[{i}]" for i in range(self.observation_size))
+        self.primitive_view = self.proprioception = self.reader.primitive_view
         self._physics_s = 0.0
         self.time: IntArray = np.zeros(num_episodes, np.int64)
         self.reward, self.running_return, self._score, self._heading = np.zeros((4, num_episodes))
-        self._terminated, self._truncated, self._fallen = np.zeros((3, num_episodes), np.bool_)
-        self._diverged, self._success = np.zeros((2, num_episodes), np.bool_)
+        self._terminated, self.truncated, self._fallen = np.zeros((3, num_episodes), np.bool_)
+        self.diverged, self._success = np.zeros((2, num_episodes), np.bool_)
         self._position, self._rows = np.zeros((num_episodes, 2)), np.zeros((num_episodes, self.observation_size))
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Name and index of each observed value."""
-        return tuple(f"{self.environment.name}[{i}]" for i in range(self.observation_size))
 
     def check_position(self) -> None:
         """Check that the robot can be located; see `EpisodeBatch.check_position`."""
@@ -198,7 +191,7 @@ class ExternalTask(EpisodeBatch):
             )
 
     def observe(self) -> F64Array:
-        """Return the current observations [N, O]; values that are not finite are 0."""
+        """Return the current observations [N, O]; values that are not finite, or beyond `LARGEST`, are 0."""
         return self._rows
 
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
@@ -207,7 +200,7 @@ class ExternalTask(EpisodeBatch):
             self.states(ids)  # raises
         for values in (self.time, self.running_return, self._score):
             values[ids] = 0
-        for flags in (self._terminated, self._truncated, self._fallen, self._diverged):
+        for flags in (self._terminated, self.truncated, self._fallen, self.diverged):
             flags[ids] = False
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             env = self._env(i)
@@ -220,25 +213,30 @@ class ExternalTask(EpisodeBatch):
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
         """Apply `action` [N, A] in [-1, 1] for one step of episodes `ids`; see `EpisodeBatch.step`."""
-        actions = self._reader.to_action(np.asarray(action, dtype=np.float64))
+        actions = self.reader.to_action(np.asarray(action, dtype=np.float64))
         for i in ids.tolist():
             env, start = self._env(i), perf_counter()
             with self.environment.explained("step"):
                 observation, reward, terminated, truncated, info = env.step(actions[i])
                 self._physics_s += perf_counter() - start
                 self._terminated[i] = terminated or truncated
-                self._truncated[i] = truncated and not terminated
-                self._record(i, env, observation, float(reward), info)
+                self.truncated[i] = truncated and not terminated
+                self._record(i, env, observation, reward, info)
                 self._fallen[i] = terminated and not self._success[i]
         self.time[ids] += 1
 
-    def _record(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: float, info: Any) -> None:
+    def _record(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: Any, info: Any) -> None:
         """Store the results of a step or reset of environment `i`; a diverged episode earns and scores 0."""
         row, physics = self._reader.flat(observation), find_physics(env)
-        is_broken = bool(info.get("diverged", False)) or not (np.isfinite(reward) and np.isfinite(row).all())
-        self._rows[i] = np.nan_to_num(row, nan=0.0, posinf=0.0, neginf=0.0)
-        self._diverged[i] |= is_broken or (physics is not None and count_divergences(physics) > 0)
-        if self._diverged[i]:
+        try:
+            reward = float(reward)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"its reward must be a number, got {reward!r}.") from error
+        is_number = np.abs(row) <= LARGEST  # False for NaN, too
+        is_broken = bool(info.get("diverged", False)) or not (abs(reward) <= LARGEST and is_number.all())
+        self._rows[i] = np.where(is_number, row, 0.0)
+        self.diverged[i] |= is_broken or (physics is not None and count_divergences(physics) > 0)
+        if self.diverged[i]:
             self.reward[i] = self._score[i] = self._success[i] = 0
             return
         self.reward[i] = reward

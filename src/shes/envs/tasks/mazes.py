@@ -1,4 +1,7 @@
-"""Maze: walk around a wall to a target. Source: Nachum et al. 2018 (HIRO); HrlMuJoCoEnvs.jl."""
+"""Maze, Push and Fall: reach a target in a world with walls, a block or a chasm.
+
+Source: Nachum et al. 2018 (HIRO); the SHES authors' HrlMuJoCoEnvs.jl.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from shes.envs.tasks.target_task import TargetOptions, TargetTask
-from shes.envs.worlds import Grid, is_free
+from shes.envs.tasks.target_task import BlockOptions, TargetOptions, TargetTask
+from shes.envs.worlds import WALL_HEIGHT_M, Grid, is_free
 from shes.errors import ConfigError
 from shes.types import F64Array
 
@@ -64,3 +67,31 @@ class Maze(TargetTask):
             target = rng.uniform(*SQUARE_M, 2)
             if self.options.target_sampling != "free_cells" or is_free(self.grid, *target):
                 return target
+
+
+class Push(TargetTask):
+    """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it.
+
+    The block weighs 0.2 g, as published, which makes its contacts soft: when rammed against a wall, a point sinks in by
+    up to 0.35 m (its centre) and an ant's foot by up to 0.54 m, and is then pushed out again.
+    """
+
+    name: ClassVar[str] = "push"
+    Options = BlockOptions
+    grid: ClassVar[Grid] = ("#####", "#.r##", "#.B.#", "##.##", "#####")
+    block_axes: ClassVar[str] = "xy"
+    own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)
+
+
+class Fall(TargetTask):
+    """A chasm lies between robot and target, which stand on platforms 4 m high. A block pushed into it is a bridge.
+
+    An episode never terminates: a robot that has fallen into the chasm stays there until the time limit.
+    """
+
+    name: ClassVar[str] = "fall"
+    Options = BlockOptions
+    grid: ClassVar[Grid] = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
+    ground_m: ClassVar[float] = WALL_HEIGHT_M
+    block_axes: ClassVar[str] = "yz"
+    own_target: ClassVar[tuple[float, ...]] = (0.0, 27.0, 4.5)

@@ -1,1 +1,0 @@
-"""External environments: any Gymnasium environment, with a function that locates its robot."""
