@@ -19,7 +19,7 @@ import shes
 from shes.runs.build import open_run
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import shipped_names
-from shes.runs.tables import read_csv, read_wall_time
+from shes.runs.tables import last_value, read_csv
 
 EPISODES = 200
 STEPS = 500
@@ -87,7 +87,10 @@ def about(run: str | Path, *, is_shipped: bool) -> dict[str, Any]:
     row: dict[str, Any] = {"agent": str(run), "env": env, "env_steps": "", "wall_time_s": ""}
     if not is_shipped:
         progress = RunFolder.open(run).progress
-        row |= {"env_steps": int(read_csv(progress)["env_steps"][-1]), "wall_time_s": round(read_wall_time(progress))}
+        row |= {
+            "env_steps": int(read_csv(progress)["env_steps"][-1]),
+            "wall_time_s": round(last_value(progress, "wall_time_s")),
+        }
     row |= {"episodes": EPISODES, **endings(run)}
     return row | {"speed_ahead_m_s": round(speed_ahead(run), 2) if env == "ant-flagrun" else ""}
 

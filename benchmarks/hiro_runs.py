@@ -25,7 +25,7 @@ import shes
 from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
-from shes.runs.tables import read_csv, read_wall_time
+from shes.runs.tables import read_csv
 from shes.runs.train import finish_run
 
 EPISODES = 50
@@ -55,11 +55,6 @@ def train(group: Group, seed: int, path: Path, minutes: float | None) -> None:
     """Begin the run at `path`, or go on with it, unless it has ended; `minutes` replaces those of the group."""
     settings = {**group.settings, **({} if minutes is None else {"minutes": minutes})}
     config = make_config(group.env, group.preset, {**settings, "seed": seed, "num_workers": 1})
-    if config.run.minutes is not None:
-        left = config.run.minutes - read_wall_time(RunFolder(path).progress) / 60
-        if left <= 0:
-            return
-        config = config.having(minutes=left)
     try:
         finish_run(config, path)
     except DivergenceError as error:

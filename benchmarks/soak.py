@@ -30,7 +30,7 @@ import numpy as np
 import psutil
 from run import write_csv
 
-from shes.runs.provenance import provenance
+from shes.runs.folder import provenance
 from shes.runs.tables import read_csv
 
 SAMPLE_S = 5.0

@@ -23,7 +23,7 @@ from experiments.paper_settings import PIECES, PUBLISHED, SCALES
 from experiments.results import write_csv
 from experiments.summary import provenance_columns
 from shes.errors import RunFolderError
-from shes.runs.provenance import provenance
+from shes.runs.folder import provenance
 from shes.runs.tables import Row
 from shes.storage import storage_errors, write_atomically
 

@@ -28,11 +28,9 @@ from shes.backends.named_backends import BACKENDS
 from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.machine import core_numbers
 from shes.runs.comparison import check_scipy
-from shes.runs.config import TrainConfig
+from shes.runs.config import TrainConfig, WorkerSettings
 from shes.runs.folder import RunFolder, check_folder_of_runs, differing
 from shes.runs.progress_display import format_duration
-from shes.runs.run_settings import WorkerSettings
-from shes.runs.tables import trained_minutes
 from shes.runs.train import finish_run
 from shes.storage import storage_errors
 
@@ -132,11 +130,7 @@ def finish(run: Run, out: Path, episodes: int, workers: Mapping[str, Any] = ALON
     config, folder = run.config(out, workers), RunFolder(out / run.name)
     if folder.config.is_file():
         _check_settings(run, folder, config)
-    left = config.run.minutes
-    if left is not None and folder.config.is_file():
-        left -= trained_minutes(folder)
-    if left is None or left > 0:
-        finish_run(config.having(minutes=left), folder.path)
+    finish_run(config, folder.path)
     write_summary(run, out, summarise(run, out, episodes))
 
 

@@ -217,12 +217,15 @@ def test_train_makes_a_folder_below_runs_if_none_is_named(shes, tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    ("ended", "more", "generation"),
-    [(["--minutes", "1e-6"], [], 0), (["--generations", 2], ["--generations", 4, "--workers", 3], 2)],
+    ("ended", "more", "generation", "word"),
+    [
+        (["--minutes", "1e-6"], [], 0, "Stopped: 0 of 4"),
+        (["--generations", 2], ["--generations", 4, "--workers", 3], 2, "Done: 2"),
+    ],
 )
-def test_resume_goes_on_where_a_run_ended(shes, tmp_path, tiny_run, ended, more, generation):
+def test_resume_goes_on_where_a_run_ended(shes, tmp_path, tiny_run, ended, more, generation, word):
     path = tmp_path / "run"
-    assert f"Done: {generation} generations" in shes("train", "point-gather", *TINY, *ended, "--out", path)
+    assert f"{word} generations" in shes("train", "point-gather", *TINY, *ended, "--out", path)
     text = shes("resume", path, *more)
     assert ("after generation 2. Run folder" in text) is (generation == 2)
     assert RunFolder.open(path).read_config().workers.num_workers == (3 if more else 0)

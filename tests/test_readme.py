@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from shes.cli.program import COMMANDS
-from shes.runs.run_settings import known_settings
+from shes.runs.config import known_settings
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -7,10 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from shes.checked import checked
 from shes.errors import ConfigError, UnknownNameError
-from shes.runs.run_settings import known_settings
-from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Shown, setting_fields
+from shes.runs.config import known_settings
+from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Shown, checked, setting_fields
 
 NAMES = {"near": 1}
 

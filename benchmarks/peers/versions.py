@@ -7,7 +7,7 @@ from pathlib import Path
 
 from run import write_csv
 
-from shes.runs.provenance import provenance
+from shes.runs.folder import provenance
 
 PACKAGES = ("shes", "torch", "stable-baselines3", "evotorch", "ray", "gymnasium", "mujoco", "numpy")
 

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from shes.envs.named_environments import register_environment, register_external
     from shes.runs.evaluate import Evaluation, evaluate
     from shes.runs.export import export
-    from shes.runs.listeners import StopTraining
     from shes.runs.loaded_agent import Agent, load
     from shes.runs.named_algorithms import register_algorithm
+    from shes.runs.recorder import StopTraining
     from shes.runs.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
@@ -48,7 +48,7 @@ _HOMES = {
     "envs.named_environments": ("register_environment", "register_external"),
     "runs.evaluate": ("Evaluation", "evaluate"),
     "runs.export": ("export",),
-    "runs.listeners": ("StopTraining",),
+    "runs.recorder": ("StopTraining",),
     "runs.loaded_agent": ("Agent", "load"),
     "runs.named_algorithms": ("register_algorithm",),
     "runs.train": ("Run", "resume", "train"),

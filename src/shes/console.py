@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from shes.listing import Table
+from shes.types import Table
 
 
 class LineConsole(Console):

@@ -8,7 +8,7 @@ class SearchSettings(Settings):
 ```
 
 The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines. The
-arguments of a function are checked alike if it is decorated with `shes.checked.checked`.
+arguments of a function are checked alike if it is decorated with `checked`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import inspect
 import linecache
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
+from functools import cache, wraps
 from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -46,9 +46,20 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
-__all__ += ["Shown", "Unasked", "described", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
+__all__ += [
+    "Shown",
+    "Unasked",
+    "checked",
+    "described",
+    "field_texts",
+    "flag",
+    "out_of_range",
+    "registered",
+    "setting_fields",
+]
 
 NoteT = TypeVar("NoteT")
+F = TypeVar("F", bound=Callable[..., Any])
 SENTENCE_END = r"\.(?:\s|$)"
 
 
@@ -279,3 +290,31 @@ def field_texts(cls: type) -> dict[str, str]:
 @cache
 def _syntax_tree(file: str) -> ast.Module:
     return ast.parse("".join(linecache.getlines(file)))
+
+
+def checked(function: F) -> F:
+    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
+
+    A call raises as `Setting.checked` does, which also converts the values.
+    """
+    if isinstance(function, type):
+        function.__init__ = checked(function.__init__)
+        return function  # type: ignore[return-value] - it is of its own type
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(*args, **kwargs)
+        for name, parameter in _parameters(function).items():
+            if name in given.arguments:
+                given.arguments[name] = parameter.checked(given.arguments[name])
+        return function(*given.args, **given.kwargs)
+
+    return call  # type: ignore[return-value] - of the same signature
+
+
+@cache
+def _parameters(function: Callable[..., Any]) -> dict[str, Setting]:
+    hints = get_type_hints(function, include_extras=True)
+    found = {name: described(name, hint, function) for name, hint in hints.items()}
+    return {name: parameter for name, parameter in found.items() if parameter.notes}

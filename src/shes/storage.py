@@ -32,11 +32,7 @@ _FIXES = {
 
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Convert an OSError in the block into a StorageError that says how to fix it.
-
-    Raises:
-        StorageError: The block raised OSError.
-    """
+    """Convert an OSError in the block into a StorageError that says how to fix it."""
     try:
         yield
     except StorageError:
@@ -64,9 +60,6 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Let `write` fill a new file, flush it to the disk, and move it to `path`. On failure `path` is unchanged.
 
     Unfinished files of killed writers are removed.
-
-    Raises:
-        StorageError: The file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}{_UNFINISHED}")
     with storage_errors(path):

@@ -98,7 +98,7 @@ def test_an_error_names_the_line_of_the_users_code(diary, tmp_path, spread, faul
 
 
 def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
-    monkeypatch.setattr("shes.runs.device.free_memory", lambda: 10**9)
+    monkeypatch.setattr("shes.runs.build.free_memory", lambda: 10**9)
     assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, **SERIAL).generation == 2
     with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 1\.0 GB are free"):
         shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, **SERIAL)

@@ -11,7 +11,7 @@ from shes.cli import main, parsing
 from shes.cli.program import BROKEN_PIPE, INTERRUPTED, exit_code
 from shes.console import LineConsole
 from shes.errors import ConfigError, WorkerError
-from shes.listing import Listing, Table, facts_listing
+from shes.types import Listing, Table, facts_listing
 from tests.e2e import runs
 
 BRACKETS = "[b]x[/b] [/q] pip install 'shes[robotics]'"

@@ -14,12 +14,12 @@ from shes.cli.program import COMMANDS, EVERYWHERE, REMOVED
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.es.optimizers import OPTIMIZERS
-from shes.listing import Listing
 from shes.runs import comparison, export
+from shes.runs.config import execution_settings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
-from shes.runs.run_settings import execution_settings
 from shes.settings import Settings
+from shes.types import Listing
 from shes.viewing import plot, render
 
 

@@ -15,10 +15,9 @@ from shes.algorithms.contract import PRESETS, Algorithm, Preset
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.perturbation import MIRRORINGS, Mirroring
 from shes.runs.build import build_algorithm
-from shes.runs.config import TrainConfig
+from shes.runs.config import TrainConfig, known_settings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.runs.run_settings import known_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
 
@@ -43,7 +42,7 @@ def test_no_module_above_knows_an_algorithm():
     assert {name for name, text in SOURCES.items() if names & set(_compared(ast.parse(text)))} == set()
     words = {word for preset in PRESETS.values() for word in (*preset.values, *preset.per_environment)}
     assert not words & {"algorithm", "sigma", "population_size", "actor_learning_rate"}
-    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/run_settings.py"])
+    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/config.py"])
 
 
 def _compared(tree):

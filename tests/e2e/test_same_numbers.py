@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import shes
+from shes.runs.config import known_settings
 from shes.runs.folder import RunFolder
-from shes.runs.run_settings import known_settings
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 

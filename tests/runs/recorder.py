@@ -134,7 +134,7 @@ def recording() -> Iterator[Record]:
         return noises
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("shes.runs.run_settings.num_cores", lambda: 1)
+        patch.setattr("shes.runs.config.num_cores", lambda: 1)
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)

@@ -17,10 +17,9 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, ShapeError, UnknownNameError
 from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_options, build_task
-from shes.runs.config import TrainConfig
+from shes.runs.config import TrainConfig, WorkerSettings, known_settings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import PRESET_NAMES
-from shes.runs.run_settings import WorkerSettings, known_settings
 from shes.settings import Gt, Settings, Shared, flag
 from tests.e2e import own_classes, runs
 
@@ -75,6 +74,7 @@ def test_a_run_has_at_most_as_many_settings_as_can_be_read():
 
 REFUSED = [
     # Settings that no run can have; the message.
+    ({"workers": 4}, r"unknown setting 'workers'\. Did you mean 'num_workers'\?$"),
     ({"qqq": 1}, r"unknown setting 'qqq'\. `shes train ENV --help-all` lists the settings\.$"),
     ({"env": 3}, r"env must be a name, got 3\. Set --env"),
     ({"backend": "sereal"}, r"unknown backend 'sereal'\. Did you mean 'serial'"),
@@ -142,8 +142,6 @@ def record(env="point-gather", **changes):
 
 
 RECORDS = [
-    ({"workers": {"sigma": 0.07}}, r"unknown setting 'sigma' in section 'workers'"),
-    ({"attic": {}}, r"a run of point-gather has no section of settings 'attic'"),
     ({"evolution": 1}, r"'evolution' must be an object of settings, got 1"),
     ({"run": {"env": ...}}, r"the configuration names no environment"),
     ({"workers": {"sigma": 9.0}}, r"sigma is 9\.0 in one section and 0\.07 in section 'evol.*both the sa"),

@@ -51,7 +51,7 @@ def stand_in(monkeypatch):
     monkeypatch.setattr("shes.rollout.worker.simulator_factory", lambda *_: CpuSimulator)
     monkeypatch.setattr("shes.rollout.worker.RolloutWorker._most_lanes", lambda *_: 8)
     monkeypatch.setattr("shes.rollout.worker.WarpDevice", Device)
-    monkeypatch.setattr("shes.runs.provenance.WarpDevice", Device)
+    monkeypatch.setattr("shes.runs.folder.WarpDevice", Device)
     monkeypatch.setattr("shes.algorithms.problem.Problem.xp", np)
     return facts
 

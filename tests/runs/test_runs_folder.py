@@ -103,7 +103,9 @@ def test_a_folder_goes_on_with_more_generations_seeds_and_minutes(tmp_path, caps
         *rows, last = table.read_text().splitlines()
         cells = last.split(",")
         table.write_text("\n".join([*rows, ",".join([*cells[:2], "3600.0", *cells[3:]])]) + "\n")
-    assert "have ended" in refused(capsys, "resume", path)  # minutes are those of each run
+    assert f"have ended. To go on: shes resume {path} --minutes" in refused(
+        capsys, "resume", path
+    )  # minutes are those of each run
     assert main(["resume", str(path), "--minutes", "10"]) == 0
     assert set(generations(path).values()) == {4}
 
@@ -153,9 +155,8 @@ def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(begun, ca
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda record: record | {"format": 9}, "its format is 9, not 1"),
-        (lambda record: record | {"runs": {"../../out": record["runs"]["seed-4"]}}, "'../../out' is no place of a run"),
-        (lambda record: record | {"runs": {}}, "it has no run"),
+        (lambda record: record | {"format": 9}, "has no runs in format 1"),
+        (lambda record: record | {"runs": {}}, "has no runs in format 1"),
         (lambda record: [record], "cannot be read"),
     ],
 )
@@ -209,9 +210,8 @@ def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
     assert "seed 1 is given twice" in refused(capsys, *base, "--seed", "1", "1")
     assert "seed needs at least one value" in refused(capsys, *base, "--seed")
     assert "sigma is both given and swept" in refused(capsys, *base, "--sigma", "1", "--sweep", "sigma=1,2")
-    assert "at most 1,000 are allowed" in refused(
-        capsys, *base, *("--sweep", f"sigma={','.join(map(str, range(1, 502)))}"), "--seed", "1", "2"
-    )
+    for words in ((), ("--seed", "1", "2")):
+        assert "out must be the path of a folder, got ''" in refused(capsys, *base[:-2], *words, "--out", "")
     assert "seed must be" in refused(capsys, *base, "--seed", "1", "-2")
     for name, message in (("population-size", "GB are free. Lower"), ("noise-table-size", "noise_table_size is ")):
         sweep = ["--sweep", f"{name}=8,{10**15}", "--workers", "1"]
@@ -238,8 +238,8 @@ def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
         find_runs(tmp_path / "other.json")
 
 
-@pytest.mark.parametrize(("command", "which"), [("evaluate", "one of them"), ("render", "one or several of them")])
-def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command, which):
+@pytest.mark.parametrize("command", ["evaluate", "render"])
+def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command):
     experiment = tmp_path / "experiment"
     names = [f"point-gather/methods/published/seed-{seed}" for seed in (2, 10)]
     for name in names:
@@ -249,8 +249,7 @@ def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsy
         (place / ".lock").touch()  # as of a study
     (experiment / "model" / "config.json").write_text("{}")  # of another program
     error = refused(capsys, command, experiment)
-    assert f"{experiment} is a folder of 2 runs: give {which}, such as {experiment / names[0]}" in error
-    assert (f"{names[1]}." in error) == (command == "render")
+    assert f"{experiment} is a folder of 2 runs: give one of them, such as {experiment / names[0]}" in error
     shutil.rmtree(experiment / names[1])
     error = refused(capsys, command, experiment)
     assert f"is no run folder, but there is one below it: give {experiment / names[0]}." in error

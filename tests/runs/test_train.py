@@ -65,6 +65,21 @@ def test_training_evaluates_the_policies_that_it_stores(tiny_run):
     assert ranked[-1] == (best.score, best.mean_return, best.generation)
 
 
+def test_a_run_that_is_not_over_says_how_it_goes_on(tmp_path):
+    path = tmp_path / "run"
+    stopped = shes.train("point-gather", out=path, minutes=1e-9, **runs.TINY)
+    go_on = ["Stopped: 0 of 4 generations, no evaluation yet.", f"Go on: shes resume {path}"]
+    assert stopped.listing().parts[:2] == go_on
+    first, then = shes.resume(path).listing().parts
+    assert first.startswith("Done: 4 generations, best evaluation score")
+    assert then.startswith("Next: ")
+
+
+def test_several_seeds_are_several_calls():
+    with pytest.raises(ConfigError, match=r"seed must be one number, got \[1, 2\]: .* shes train ENV --seed 1 2 3"):
+        shes.train("point-gather", preset="smoke", seed=[1, 2])
+
+
 def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
     folder = RunFolder.open(runs.train_tiny(tmp_path / "run", minutes=1e-9))
     assert folder.load("best").generation == 0

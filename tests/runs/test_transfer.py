@@ -246,7 +246,7 @@ def test_a_source_without_the_level_or_damaged_is_refused(sources, tmp_path):
     refused(ConfigError, rf"{flat} has no primitive: its levels are policy\. Name a run with --prim", primitive=flat)
     refused(ConfigError, "has no controller: its levels are primitive", controller=plain)
     source = shutil.copytree(plain, tmp_path / "source")
-    message = r"source has no checkpoint '77'; it has 0, 1, 2, 3, best, last\. Set --primitive-checkpoint\."
+    message = r"no checkpoint .*source.*000077\.npz\. There are: best, generation_000000, .*Choose one"
     refused(CheckpointError, message, primitive=source, primitive_checkpoint="77")
     (source / "checkpoints" / "best.npz").write_bytes(b"PK")
     refused(CheckpointError, r"best\.npz is not a whole SHES checkpoint", primitive=source)

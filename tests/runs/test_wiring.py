@@ -17,8 +17,8 @@ from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.mazes import Maze
 from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
+from shes.runs.config import known_settings
 from shes.runs.folder import RunFolder
-from shes.runs.run_settings import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.streams import Purpose, stream

@@ -13,8 +13,7 @@ from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
-from shes.checked import checked
-from shes.settings import Example, Ge
+from shes.settings import Example, Ge, checked
 from shes.types import F32Array, F64Array
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")

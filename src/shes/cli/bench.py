@@ -15,22 +15,19 @@ import mujoco
 import numpy as np
 
 from shes.backends.backend import SerialBackend
-from shes.checked import checked
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.strategies import EvolutionAlgorithm
-from shes.listing import Listing, facts_listing
 from shes.machine import on_one_core
 from shes.rollout.worker import RolloutWorker, WorkerPlan
-from shes.runs.build import build_algorithm, build_backend
+from shes.runs.build import build_algorithm, build_backend, check_limits
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_limits
 from shes.runs.make_config import make_config
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.sim.cpu import CpuSimulator
-from shes.types import F64Array, IntArray
+from shes.types import F64Array, IntArray, Listing, facts_listing
 
 _REPLAYED = 24  # number of whole episodes that the bare loop replays
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from shlex import quote
 from typing import Annotated, Any
 
 import tyro
 
 from shes.errors import ConfigError
-from shes.listing import Listing
 from shes.runs import train as run_training
-from shes.runs.folder import new_folder
-from shes.runs.run_settings import RunSettings
+from shes.runs.config import RunSettings
+from shes.runs.folder import checked_out, new_folder
 from shes.runs.runs_folder import RunsFolder, read_sweep, vary
 from shes.runs.train import Run
+from shes.types import Listing
 
 
 def train(
@@ -22,7 +20,7 @@ def train(
     settings: dict[str, Any],
     *,
     seed: Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT ...")] = (1,),
-    out: Path | None = None,
+    out: str | None = None,
     sweep: Annotated[
         tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=X,Y ...")
     ] = (),
@@ -44,7 +42,9 @@ def train(
     if len(seed) == 1 and not swept:
         return run_training.train(env, preset=preset, out=out, progress=True, **{**settings, "seed": seed[0]})
     configs = vary(env, preset, settings, seed, swept)
-    folder = RunsFolder.create(out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs"), configs)
+    first = next(iter(configs.values()))
+    place = new_folder(first, f"{len(configs)}-runs") if out is None else checked_out(out)
+    folder = RunsFolder.create(place, configs)
     return folder.train_shown(list(configs))
 
 
@@ -60,8 +60,5 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
         return run_training.resume(run, progress=True, **settings)
     folder = RunsFolder.open(run, **settings)
     if not folder.left:
-        raise ConfigError(
-            f"all {len(folder.configs)} runs of {run} have ended. To go on: shes resume {quote(run)} "
-            f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
-        )
+        raise ConfigError(f"all {len(folder.configs)} runs of {run} have ended. To go on: {folder.how_to_go_on}")
     return folder.train_shown(list(folder.configs))

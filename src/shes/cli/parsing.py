@@ -27,14 +27,12 @@ from shes.cli.program import COMMANDS, REMOVED, TERMINATED, find_command
 from shes.console import LineConsole
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
-from shes.listing import Listing
-from shes.runs.config import TrainConfig
+from shes.runs.config import RunSettings, TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import drawing_progress
-from shes.runs.run_settings import RunSettings, by_name, known_settings, settings_by_section
-from shes.runs.train import resumable_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag
+from shes.types import Listing
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""

@@ -9,7 +9,7 @@ from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, Environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ShesError
-from shes.listing import Listing, Table
+from shes.types import Listing, Table
 
 
 def list_environments() -> Listing:

@@ -13,13 +13,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.checked import checked
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.perturbation import group_weights
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
 

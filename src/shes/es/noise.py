@@ -21,10 +21,9 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from shes.checked import checked
 from shes.errors import ConfigError, StorageError
 from shes.machine import free_disk, free_memory
-from shes.settings import Ge, Shown
+from shes.settings import Ge, Shown, checked
 from shes.storage import remove_abandoned, storage_errors, write_atomically
 from shes.streams import table_stream
 from shes.types import F32Array, IntArray, to_host

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shes.checked import checked
 from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
 from shes.es.noise import NoiseTable
@@ -20,7 +19,7 @@ from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make, options_of
-from shes.settings import Ge, Gt
+from shes.settings import Ge, Gt, checked
 from shes.types import F32Array, F64Array, IntArray, is_whole
 
 

@@ -17,12 +17,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from shes.checked import checked
 from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
 from shes.gymnasium.env import TaskAdapter
 from shes.machine import num_cores
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.types import BoolArray, F64Array, IntArray, is_whole
 
 _RENDER_MODES = ["rgb_array"]

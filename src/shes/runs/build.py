@@ -1,32 +1,38 @@
-"""The construction of a run's parts from its settings."""
+"""The construction of a run's parts from its settings, and the checks that they fit this machine."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+from shes.agents.agent import AgentDesign
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
-from shes.rollout.worker import RolloutWorker, WorkerPlan, simulator_factory
+from shes.machine import free_memory, num_cores
+from shes.rollout.episodes import empty_outcomes
+from shes.rollout.worker import RolloutWorker, WorkerPlan, lanes_that_fit, simulator_factory
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.run_settings import algorithm_of
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 
 EVALUATION_RESET_NOISE = 0.1
 """Reset noise of evaluation episodes, whatever that of training is; see `TaskOptions.reset_noise`."""
+_WORKER_BYTES = 45_000_000  # that a worker process shares with no other: 36 to 42 MB measured
+_ROW_BYTES = 10_000  # of a simulation, its task and its agent, without noise: up to 8.6 kB measured
+_TASK_BYTES = 400  # of a task in the parent process, per episode: 200 to 400 measured
 
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
@@ -43,8 +49,7 @@ def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
 
 def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> EpisodeBatch:
     """Return a batch of `num_episodes` episodes of the environment of `config`."""
-    env = build_environment(config)
-    return env.make(num_episodes, build_options(config, is_evaluation=is_evaluation))
+    return build_environment(config).make(num_episodes, build_options(config, is_evaluation=is_evaluation))
 
 
 def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
@@ -65,8 +70,7 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
         nconmax=workers.nconmax,
         njmax=workers.njmax,
     )
-    construct = cast("Callable[[Problem], Algorithm[Any]]", algorithm_of(config.run))  # as `register_algorithm` checks
-    return construct(problem)
+    return cast("Callable[[Problem], Algorithm[Any]]", config.algorithm)(problem)  # as `register_algorithm` checks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,20 +93,45 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
     return OpenedRun(folder=folder, config=config, algorithm=algorithm, state=state)
 
 
-def check_device(config: TrainConfig) -> None:
-    """Check that the device of `config` exists and can simulate its world.
+def build_backend(config: TrainConfig, plan: WorkerPlan, max_workers: int | None = None) -> Backend:
+    """Return the started backend of a run, with at most `max_workers`. A device has one worker, in this process."""
+    cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
+    options = cls.Options.of(config.values)
+    count = config.workers.num_workers or cls.all_workers()
+    count = count if max_workers is None else min(count, max_workers)
+    own = {name: getattr(options, name) for name in setting_fields(cls.Options)}
+    return cls(partial(RolloutWorker, plan), count, **own)
 
-    Raises:
-        MissingExtraError: It needs a package that is not installed.
-        ConfigError: There is no such GPU or driver, the world needs the CPU, or there is no memory for one episode.
+
+def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Raise ConfigError if a setting in `asked` has no effect on the device of `config`.
+
+    Other settings of `config` may be left from another device, for a run that returns to it.
     """
+    device = config.workers.device
+    for name in ("nconmax", "njmax"):
+        if device == "cpu" and asked.get(name) is not None:
+            raise ConfigError(
+                f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers. "
+                f"Set --device, or omit --{name}."
+            )
+    is_idle = {"backend": asked.get("backend", "serial") != "serial", "num_workers": asked.get("num_workers", 0) > 1}
+    for name, is_one in is_idle.items():
+        if device != "cpu" and is_one:
+            raise ConfigError(
+                f"{name} is {asked[name]!r}, but one process serves device {device}. "
+                f"Omit {config.setting(name).flag}, or set --device cpu."
+            )
+
+
+def check_device(config: TrainConfig) -> None:
+    """Check that the device of `config` exists and can simulate its world."""
     workers = config.workers
     if workers.device == "cpu":
         return
-    env = build_environment(config)
     simulator = simulator_factory(workers.device, workers.nconmax, workers.njmax)
     try:
-        env.make(1, build_options(config, is_evaluation=False), simulator).close()
+        build_environment(config).make(1, build_options(config, is_evaluation=False), simulator).close()
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
@@ -112,14 +141,53 @@ def check_device(config: TrainConfig) -> None:
         ) from error
 
 
-def build_backend(config: TrainConfig, plan: WorkerPlan, max_workers: int | None = None) -> Backend:
-    """Return the started backend of `config`, with at most `max_workers` workers.
+def max_workers() -> int:
+    """Return the largest number of worker processes that are started on this machine."""
+    return max(64, 16 * num_cores())
 
-    A device has one worker, in this process.
-    """
-    factory = partial(RolloutWorker, plan)
-    cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
-    options = cls.Options.of(config.values)
-    count = config.workers.num_workers or cls.all_workers()
-    count = count if max_workers is None else min(count, max_workers)
-    return cls(factory, count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})
+
+def most_episodes(config: TrainConfig, *, is_evaluation: bool = False) -> int:
+    """Return the largest number of episodes at a time, and so of workers, of a run, or of an evaluation alone."""
+    policies, episodes = config.algorithm.population(config)
+    return max(0 if is_evaluation else policies * episodes, config.evaluation.evaluation_episodes)
+
+
+def check_limits(config: TrainConfig, design: AgentDesign, *, is_evaluation: bool = False) -> None:
+    """Raise ConfigError unless the arrays and processes of a run, or of an evaluation alone, fit this machine."""
+    has_processes = config.workers.device == "cpu" and config.workers.backend == "processes"
+    workers = config.workers.count if has_processes else 0
+    if workers > max_workers():
+        raise ConfigError(
+            f"num_workers is {workers:,}, but this machine has {num_cores()} cores: more than {max_workers()} worker "
+            f"processes are not started. Set --workers {max_workers()} or less; 0 is one for every core."
+        )
+    need, free = _memory(config, design, workers, is_evaluation=is_evaluation), free_memory()
+    if need > free:
+        sizes = "--episodes" if is_evaluation else "--population-size, --evaluation-episodes, --horizon, --hidden"
+        raise ConfigError(
+            f"this takes {need / 1e9:,.1f} GB of memory, but {free / 1e9:,.1f} GB are free. Lower --chunk-size or "
+            f"--workers, which change no result, or {sizes}; or use a larger machine."
+        )
+
+
+def _memory(config: TrainConfig, design: AgentDesign, workers: int, *, is_evaluation: bool) -> int:
+    """Return the bytes of memory that agents of `design` take, in this process and in `workers` others."""
+    policies, rows = config.algorithm.population(config)
+    at_a_time = most_episodes(config, is_evaluation=is_evaluation)
+    workers = min(workers, at_a_time)
+    env = find_environment(config.run.env)
+    instance_bytes = env.measured_bytes() if isinstance(env, ExternalEnvironment) else None
+
+    def rollout(policies: int, horizon: int) -> int:
+        """Return the bytes of a worker's arrays for its share of `policies`, in lockstep, with exploration noise."""
+        share = -(-policies // max(1, workers))
+        fitting = lanes_that_fit(sum(design.dims), rows, are_external=instance_bytes is not None)
+        lanes = min(share, config.workers.chunk_size or fitting)
+        decisions = -(-horizon // design.controller_interval)
+        noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
+        return lanes * (8 * sum(design.dims) + rows * (_ROW_BYTES + noise + (instance_bytes or 0)))
+
+    rollouts = rollout(0 if is_evaluation else policies, config.episodes.horizon)
+    rollouts += rollout(-(-config.evaluation.evaluation_episodes // rows), config.evaluation_steps)
+    parent = at_a_time * (empty_outcomes(len(design.dims), 1).nbytes + _TASK_BYTES)
+    return parent + (workers * (_WORKER_BYTES + rollouts) if workers else rollouts)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -75,13 +76,9 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
             f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint reserves. "
             "Choose another name."
         )
-    arrays = {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
-
-    def write(file: IO[bytes]) -> None:
-        save = np.savez_compressed if is_compressed else np.savez
-        save(file, allow_pickle=False, **arrays)  # type: ignore[arg-type] - savez takes any name
-
-    write_atomically(path, write)
+    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
+    save = np.savez_compressed if is_compressed else np.savez
+    write_atomically(path, lambda file: save(file, allow_pickle=False, **arrays))
 
 
 def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
@@ -91,9 +88,6 @@ def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: 
         path: The file.
         check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects.
         with_state: Whether to read all arrays. Otherwise only those that every checkpoint has are read, which is quick.
-
-    Raises:
-        CheckpointError: The file is missing, truncated, or not a checkpoint of this version.
     """
     if not path.is_file():
         others = sorted(other.stem for other in path.parent.glob("*.npz") if other.is_file())
@@ -102,53 +96,42 @@ def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: 
             f"there is no checkpoint {path}.{there} Choose one with --checkpoint; "
             "to resume from it, copy it to last.npz."
         )
-    try:
+    with _damage_named(path):
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            names = file.files if with_state else (*_OWN, *_OF_EVERY_ALGORITHM)
-            arrays = {name: file[name] for name in names}
+            arrays = {name: file[name] for name in (file.files if with_state else (*_OWN, *_OF_EVERY_ALGORITHM))}
         own = {name: arrays.pop(name).item() for name in _OWN}
-        _check_format(own["format"])
+        if own["format"] != FORMAT:
+            raise CheckpointError(
+                f"has checkpoint format {own['format']}; this version of SHES reads {FORMAT}. "
+                "Use the version that wrote it (config.json of the run names it)."
+            )
         if check is not None:
             check(arrays)
-        return _checkpoint(own, arrays)
-    except CheckpointError as error:
-        raise CheckpointError(f"{path} {error}") from error
-    except Exception as error:  # NumPy and zipfile raise errors of a dozen kinds for a damaged file
-        raise _damaged(path, error) from error
-
-
-def _check_format(version: int) -> None:
-    if version != FORMAT:
-        raise CheckpointError(
-            f"has checkpoint format {version}; this version of SHES reads {FORMAT}. "
-            "Use the version that wrote it (config.json of the run names it)."
-        )
-
-
-def _checkpoint(own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
-    """Return the checkpoint with these arrays; raise ValueError if no run can have written it."""
-    best = Best(generation=own["best_generation"], score=own["best_score"], mean_return=own["best_return"])
-    if min(*(int(arrays[name].item()) for name in _OF_EVERY_ALGORITHM), best.generation + 1) < 0:
-        raise ValueError("a count is negative")
-    if not (best.score < np.inf and best.mean_return < np.inf):
-        raise ValueError("the best score or return is NaN or infinity")
-    return Checkpoint(arrays=arrays, best=best, numbers=dict(json.loads(own["settings"])))
+        best = Best(generation=own["best_generation"], score=own["best_score"], mean_return=own["best_return"])
+        if min(*(int(arrays[name].item()) for name in _OF_EVERY_ALGORITHM), best.generation + 1) < 0:
+            raise ValueError("a count is negative")
+        if not (best.score < np.inf and best.mean_return < np.inf):
+            raise ValueError("the best score or return is NaN or infinity")
+        return Checkpoint(arrays=arrays, best=best, numbers=dict(json.loads(own["settings"])))
 
 
 def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:
     """Return the algorithm's state in `checkpoint`, read from `path`; raise CheckpointError if it does not fit."""
-    try:
+    with _damage_named(path):
         return from_arrays(checkpoint.arrays)
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    """Convert any error into a CheckpointError that names `path`."""
+    try:
+        yield
     except CheckpointError as error:
         raise CheckpointError(f"{path} {error}") from error
-    except Exception as error:
-        raise _damaged(path, error) from error
-
-
-def _damaged(path: Path, error: Exception) -> CheckpointError:
-    text = " ".join(str(error).split())[:_MOST_TEXT]
-    return CheckpointError(
-        f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {text}). It may be truncated or another "
-        "program's file. Take another one with --checkpoint last, best or a generation; "
-        "to resume from another one, copy it over last.npz."
-    )
+    except Exception as error:  # NumPy and zipfile raise errors of a dozen kinds for a damaged file
+        text = " ".join(str(error).split())[:_MOST_TEXT]
+        raise CheckpointError(
+            f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {text}). It may be truncated or another "
+            "program's file. Take another one with --checkpoint last, best or a generation; "
+            "to resume from another one, copy it over last.npz."
+        ) from error

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from shes.checked import checked
-from shes.errors import ConfigError, MissingExtraError
-from shes.listing import Listing, Table
+from shes.errors import ConfigError, MissingExtraError, ShesError
+from shes.runs.config import TrainConfig
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
 from shes.runs.runs_folder import find_runs
-from shes.settings import Ge
-from shes.types import F64Array
+from shes.settings import Ge, checked
+from shes.types import F64Array, Listing, Table
 
 MEASURES = {"score": "scores", "return": "returns", "success": "successes"}
 """Measures that can be compared: name -> field of `Evaluation`."""
@@ -94,13 +93,6 @@ def compare_runs(
         measure: What is compared.
         num_workers: Worker processes; 0 is one for every core.
         seed: Seed of the episodes.
-
-    Raises:
-        UnknownNameError: `measure` is unknown.
-        ConfigError: The runs have different environments, those of a folder different settings, or one side has one run
-            and the other several.
-        MissingExtraError: SciPy is not installed.
-        ShesError: Raised by `evaluate`.
     """
     check_scipy()
     sides = [_repetitions(each) for each in (first, second)]
@@ -181,10 +173,6 @@ def permutation_test(first: F64Array, second: F64Array) -> float:
     p is the share of divisions of all values into two such samples whose difference is at least as large. If there
     are more than 10,000 divisions, it is estimated from as many random ones and the given one, so that it is
     never 0. Source: Phipson and Smyth (2010).
-
-    Raises:
-        MissingExtraError: SciPy is not installed.
-        ValueError: A sample has less than two values.
     """
     scale = max(1.0, float(np.abs(np.concatenate([first, second])).max()))
 
@@ -195,3 +183,46 @@ def permutation_test(first: F64Array, second: F64Array) -> float:
         (first, second), difference, vectorized=True, n_resamples=_DIVISIONS, alternative="greater", rng=0
     )
     return float(found.pvalue)
+
+
+# Repetitions are runs that differ only in the seed, their own and those of the runs from which they have a level. The
+# path of such a run says nothing of what it is; its settings count instead, and its planned length.
+
+
+def repeated_settings(folder: RunFolder) -> dict[str, Any]:
+    """Return the settings that repetitions of a run have in common, by name, as JSON types.
+
+    Those of a run that trained the primitive are called `primitive's sigma`, and `primitive` is then `of ENV`.
+    """
+    return {name: value for name, value in _traced(folder).items() if name.split()[-1] != "seed"}
+
+
+def seeds_of(folder: RunFolder) -> dict[str, int]:
+    """Return the seeds in which repetitions of a run differ: `seed`, and `primitive's seed` if that is known."""
+    return {name: value for name, value in _traced(folder).items() if name.split()[-1] == "seed"}
+
+
+def differing_settings(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the names of settings with more than one value among those of `settings` that have them."""
+    names = dict.fromkeys(name for each in settings for name in each)
+    values = {name: [each[name] for each in settings if name in each] for name in names}
+    return [name for name, found in values.items() if any(value != found[0] for value in found)]
+
+
+def _traced(folder: RunFolder) -> dict[str, Any]:
+    """Return the settings of a run, and of the runs from which it has a level."""
+
+    def trace(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
+        found = config.numbers()
+        for level in config.algorithm.transfers:
+            try:
+                theirs = TrainConfig.from_dict(record[level]["config"])
+            except (ShesError, KeyError, TypeError, AttributeError):  # a shipped agent, or a class not registered here
+                continue
+            lengths = {"generations": theirs.run.generations, "env_steps": theirs.run.env_steps}
+            of_level = {**trace(theirs, record[level]), **lengths}
+            found[level] = f"of {of_level.pop('env')}"
+            found |= {f"{level}'s {name}": value for name, value in of_level.items()}
+        return found
+
+    return trace(folder.read_config(), folder.read_record())

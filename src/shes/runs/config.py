@@ -1,34 +1,104 @@
-"""The configuration of a training run. Settings objects stop here: the packages below take plain arguments."""
+"""The settings of a run, in sections. Settings objects stop here: the packages below take plain arguments.
+
+Every run has the sections of the classes below, `environment` (the options of its task) and `body` if the robot has
+options. The others are those of its algorithm: a run of es has no `hierarchy`.
+"""
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
-from shes.envs.named_environments import find_environment
+from shes.backends.named_backends import BACKENDS
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
-from shes.runs.run_settings import (
-    EpisodeSettings,
-    EvaluationSettings,
-    RunSettings,
-    WorkerSettings,
-    algorithm_of,
-    by_name,
-    check_names,
-    sections_of,
-    settings_by_section,
-    unknown_setting,
-)
-from shes.settings import Execution, Setting, Settings, Unasked, setting_fields
+from shes.machine import num_cores
+from shes.options import with_options
+from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown
+from shes.sim.warp_device import DEVICES
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(Settings):
+    """Run."""
+
+    env: str
+    """Environment name (see `shes envs`) or `gymnasium:ID`."""
+    algorithm: Annotated[
+        str,
+        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE.", is_described=True),
+        Shown(everyday=True),
+    ] = "shes"
+    """Algorithm."""
+    preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
+    """Preset of the other settings."""
+    seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
+    """Seed of every random draw."""
+    generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
+    """Generations after which the run ends (Table I: 3000)."""
+    env_steps: Annotated[int, Ge(1), Execution()] | None = None
+    """Environment steps of training; the run ends with the generation that reaches them, if not before."""
+    minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None
+    """Minutes after which this call ends, if not before."""
+
+    def is_over(self, generation: int, env_steps: int) -> bool:
+        """Return whether a run ends after `generation` generations and `env_steps` environment steps."""
+        return generation >= self.generations or (self.env_steps is not None and env_steps >= self.env_steps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerSettings(Settings):
+    """Workers."""
+
+    backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
+    """What runs the episodes on the CPU."""
+    num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
+    """Worker processes; 0 is one for every core. Does not affect results."""
+    chunk_size: Annotated[int, Ge(0), Execution()] = 0
+    """Policies that a worker or a device runs in lockstep; 0 is automatic. Does not affect results on the CPU."""
+    device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
+    """Device of the physics: cpu, cuda (an NVIDIA GPU; extra gpu) or warp-cpu (extra warp; for tests)."""
+    nconmax: Annotated[int, Ge(1), Execution()] | None = None
+    """Contact buffer of a device, per simulation on average; by default chosen for the environment's model."""
+    njmax: Annotated[int, Ge(1), Execution()] | None = None
+    """Constraint buffer of a device, in rows per simulation; by default chosen for the environment's model."""
+
+    @property
+    def count(self) -> int:
+        """Number of worker processes: `num_workers`, or one for every core that this process may use."""
+        return self.num_workers or num_cores()
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeSettings(Settings):
+    """Episodes."""
+
+    horizon: Annotated[int, Ge(1)] = 200
+    """Control steps in an episode of training (Table I: 500)."""
+    evaluation_horizon: Annotated[int, Ge(1)] | None = None
+    """Control steps in an episode of evaluation; as in training if none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationSettings(Settings):
+    """Evaluation and checkpoints."""
+
+    evaluation_interval: Annotated[int, Ge(1)] = 10
+    """Generations between evaluations of the mean policies; the first generation is evaluated, too."""
+    evaluation_episodes: Annotated[int, Ge(1)] = 50
+    """Episodes of an evaluation."""
+    keep_checkpoints: Annotated[int, Ge(1), Execution()] = 50
+    """Generations between the checkpoints that are kept in addition to `last` and `best`."""
 
 
 @dataclass(frozen=True, init=False)
 class TrainConfig:
-    """The settings of a training run in sections: `config.run.seed`. See `shes.runs.run_settings`."""
+    """The settings of a training run in sections: `config.run.seed`."""
 
     run: RunSettings
     workers: WorkerSettings
@@ -37,42 +107,34 @@ class TrainConfig:
     evaluation: EvaluationSettings
     sections: Mapping[str, Settings]
     """All sections by name, these and those of the algorithm."""
-    options: Mapping[str, Mapping[str, Any]]
-    """Options of registered classes, such as backends, by section and name."""
+    values: Mapping[str, Any]
+    """The values of all settings by name, options of registered classes included."""
 
-    def __init__(self, sections: Mapping[str, Settings], options: Mapping[str, Mapping[str, Any]]) -> None:
-        self.__dict__.update(sections, sections=sections, options=options)
+    def __init__(self, sections: Mapping[str, Settings], values: Mapping[str, Any]) -> None:
+        self.__dict__.update(sections, sections=sections, values=values)
 
     @classmethod
     def of(cls, **values: Any) -> TrainConfig:
-        """Return the configuration with these settings: `TrainConfig.of(env="ant-gather", sigma=0.02)`.
-
-        Raises:
-            ConfigError: A setting is unknown, a value is out of range, or two values do not go together.
-            UnknownNameError: A value is a name that is in no registry.
-        """
+        """Return the configuration with these settings: `TrainConfig.of(env="ant-gather", sigma=0.02)`."""
         known = check_names(values)
-        sections = {name: each.of(values) for name, each in sections_of(RunSettings.of(values)).items()}
-        options = {
-            section: {
-                name: each.checked(values.get(name, each.default))
-                for name, each in known[section].items()
-                if name not in setting_fields(type(own))
-            }
-            for section, own in sections.items()
+        checked = {name: each.checked(values.get(name, each.default)) for name, each in by_name(known).items()}
+        sections = {name: own.of(checked) for name, own in sections_of(RunSettings.of(values)).items()}
+        # A section may replace a value, such as a default that stands for another; options are in no field of it.
+        own = {
+            name: getattr(sections[section], name, checked[name]) for section, each in known.items() for name in each
         }
-        config = cls(sections, options)
-        config._check()
+        config = cls(sections, own)
+        if config.workers.device != "cpu" and find_environment(config.run.env).has_own_physics:
+            raise ConfigError(
+                f"device is {config.workers.device!r}, but {config.run.env} has physics of its own: it runs on the CPU "
+                "alone. Set --device cpu."
+            )
+        config.algorithm.check(config)
         return config
 
     @classmethod
     def from_dict(cls, sections: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
-        """Return the configuration from the result of `to_dict`. A missing setting has its default.
-
-        Raises:
-            ConfigError: A key is unknown, a value is not allowed, or a shared setting has two values.
-            UnknownNameError: A value is a name that is in no registry.
-        """
+        """Return the configuration from the result of `to_dict`. A missing setting has its default."""
         values: dict[str, Any] = {}
         for section, own in sections.items():
             if not isinstance(own, Mapping):
@@ -83,13 +145,6 @@ class TrainConfig:
                         f"{name} is {values[name]!r} in one section and {value!r} in section {section!r}. "
                         "It is one setting: give both the same value."
                     )
-        known = check_names(values)
-        for section, own in sections.items():
-            if section not in known:
-                raise ConfigError(f"a run of {values['env']} has no section of settings {section!r}.")
-            for name in own:
-                if name not in known[section]:
-                    raise unknown_setting(name, known[section], f" in section {section!r}")
         return cls.of(**values)
 
     def having(self, **values: Any) -> TrainConfig:
@@ -103,30 +158,23 @@ class TrainConfig:
     def __contains__(self, section: str) -> bool:
         return section in self.sections
 
-    @cached_property
-    def values(self) -> dict[str, Any]:
-        """The values of all settings by name."""
-        values = {name: value for own in self.options.values() for name, value in own.items()}
-        for own in self.sections.values():
-            asked = (each.name for each in setting_fields(type(own)).values() if not each.has(Unasked))
-            values |= {name: getattr(own, name) for name in asked}
-        return values
-
     def setting(self, name: str) -> Setting:
         """Return the description of setting `name`."""
         return by_name(settings_by_section(self.run))[name]
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the settings as JSON types, by section."""
-        return {
-            section: {name: _as_json(self.values[name]) for name in settings}
-            for section, settings in settings_by_section(self.run).items()
-        }
+        sections = settings_by_section(self.run).items()
+        return {section: {name: self._as_json(name) for name in settings} for section, settings in sections}
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
         settings = by_name(settings_by_section(self.run))
-        return {name: _as_json(self.values[name]) for name, each in settings.items() if not each.has(Execution)}
+        return {name: self._as_json(name) for name, each in settings.items() if not each.has(Execution)}
+
+    def _as_json(self, name: str) -> Any:
+        value = self.values[name]
+        return list(value) if isinstance(value, tuple) else value
 
     @property
     def algorithm(self) -> type[Algorithm[Any]]:
@@ -143,15 +191,101 @@ class TrainConfig:
         """Control steps in an episode of evaluation."""
         return self.episodes.evaluation_horizon or self.episodes.horizon
 
-    def _check(self) -> None:
-        """Raise ConfigError for settings that do not go together."""
-        if self.workers.device != "cpu" and find_environment(self.run.env).has_own_physics:
+
+_OF_EVERY_RUN: dict[str, type[Settings]] = {
+    "run": RunSettings,
+    "workers": WorkerSettings,
+    "episodes": EpisodeSettings,
+    "evaluation": EvaluationSettings,
+}
+
+
+def algorithm_of(run: RunSettings) -> type[Algorithm[Any]]:
+    """Return the algorithm of a run; raise ConfigError if it sets goals where the environment does."""
+    sets_goals = find_environment(run.env).sets_goals
+    found = find_algorithm(run.algorithm, sets_goals=sets_goals)
+    if sets_goals and "controller" in found.level_names:
+        fitting = [name for name in ALGORITHMS if "controller" not in find_algorithm(name, sets_goals=True).level_names]
+        raise ConfigError(
+            f"{run.env} sets the goals, so the controller of {run.algorithm} has nothing to learn. "
+            f"Set --algorithm to {', '.join(fitting[:-1])} or {fitting[-1]}."
+        )
+    return found
+
+
+def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run by section, in the order of the help."""
+    env = find_environment(run.env)
+    body = {"body": env.body.Options} if isinstance(env, Environment) and env.body.Options is not Settings else {}
+    last = {name: _OF_EVERY_RUN[name] for name in ("episodes", "evaluation")}
+    own = algorithm_of(run).sections
+    return {"run": RunSettings, "workers": WorkerSettings, **own, "environment": env.options, **body, **last}
+
+
+def settings_by_section(run: RunSettings) -> dict[str, dict[str, Setting]]:
+    """Return the settings of a run by section and name."""
+    found = with_options(sections_of(run))
+    first: dict[str, tuple[str, Setting]] = {}
+    for section, settings in found.items():
+        for name, setting in settings.items():
+            home, other = first.setdefault(name, (section, setting))
+            if home == section or (setting.has(Shared) and setting.default == other.default):
+                continue
+            fix = "Give both the same default" if setting.has(Shared) else "Choose another name for one of them"
             raise ConfigError(
-                f"device is {self.workers.device!r}, but {self.run.env} has physics of its own: it runs on the CPU "
-                "alone. Set --device cpu."
+                f"{name!r} is a setting of section {home!r} (default {other.default!r}) and another one of section "
+                f"{section!r} (default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
             )
-        self.algorithm.check(self)
+    return found
 
 
-def _as_json(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
+def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]:
+    """Return the settings of all `sections` by name."""
+    return {name: setting for settings in sections.values() for name, setting in settings.items()}
+
+
+def known_settings() -> dict[str, Setting]:
+    """Return every setting of every algorithm, environment and body by name."""
+    classes = dict.fromkeys(cls for env in ENVIRONMENTS.values() for cls in (env.options, env.body.Options))
+    sections = [_OF_EVERY_RUN, *({"": cls} for cls in classes), *(each.sections for each in algorithm_classes())]
+    return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
+
+
+def execution_settings() -> dict[str, Setting]:
+    """Return the settings that do not change the numbers of a run, by name."""
+    return {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
+
+
+def resumable_settings() -> dict[str, Setting]:
+    """Return the settings that `resume` takes, by name."""
+    return {name: each for name, each in execution_settings().items() if name != "preset"}
+
+
+def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
+    """Return the settings of a run with `values`; raise ConfigError unless all names in `values` are among them."""
+    if "env" not in values:
+        raise ConfigError("the configuration names no environment (key 'env').")
+    sections = settings_by_section(RunSettings.of(values))
+    here = by_name(sections)
+    for name, setting in here.items():
+        if name in values and setting.has(Choices):
+            setting.checked(values[name])  # first: a class that is not registered may have options
+    for name in values:
+        if name in here:
+            continue
+        everywhere = known_settings()
+        if name not in everywhere:
+            raise _unknown_setting(name, here)
+        raise ConfigError(
+            f"{name} is not a setting of a run of {values['env']} with algorithm "
+            f"{values.get('algorithm', RunSettings.algorithm)!r}, got {values[name]!r}. Omit {everywhere[name].flag}."
+        )
+    return sections
+
+
+def _unknown_setting(name: str, known: Mapping[str, Setting]) -> ConfigError:
+    """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
+    close = difflib.get_close_matches(name, known, n=3)
+    hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
+    similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
+    return ConfigError(f"unknown setting {name!r}. {hint}{similar}")

@@ -7,27 +7,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
 from shes.backends.backend import Backend
-from shes.checked import checked
 from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
-from shes.listing import Listing, facts_listing
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
 from shes.rollout.results import PopulationResults, lower_diverged
 from shes.rollout.roll_out import roll_out_tasks
-from shes.runs.build import build_backend, open_run
-from shes.runs.device import check_asked_device, check_limits, most_episodes
+from shes.runs.build import build_backend, check_asked_device, check_limits, most_episodes, open_run
 from shes.runs.folder import RunFolder
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.streams import Purpose, stream
-from shes.types import F64Array
-
-StateT = TypeVar("StateT", bound=AnyState)
+from shes.types import F64Array, Listing, facts_listing
 
 logger = logging.getLogger("shes.run")
 """Receives what happens in a run; `log.txt` has it."""
@@ -81,12 +76,14 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         """Return means and standard deviations by column name, as tables show them."""
-        primitive: dict[str, Any] = {}
-        if self.primitive_returns is not None:
-            primitive = {
+        primitive = (
+            {}
+            if self.primitive_returns is None
+            else {
                 "primitive_return_mean": float(self.primitive_returns.mean()),
                 "goals_reached_mean": float(self.goals_reached.mean()),
             }
+        )
         return {
             "episodes": len(self.scores),
             "score_mean": float(self.scores.mean()),
@@ -114,8 +111,8 @@ def fresh_seeds(state: AnyState, episodes: int, seed: int | None = None) -> list
 
 
 def evaluate_state(
-    algorithm: Algorithm[StateT],
-    state: StateT,
+    algorithm: Algorithm[Any],
+    state: Any,
     seeds: Sequence[int],
     backend: Backend,
     controller: ControllerName = "trained",
@@ -126,25 +123,8 @@ def evaluate_state(
     number of rows of a policy's matmul in training, so that results do not depend on the distribution of the blocks.
     Of the constant controllers, the one with the highest mean score counts, then mean return; of equal ones, the first.
     """
-    found = []
-    for name, decisions in _DECISIONS[controller].items():
-        results = roll_out_tasks(*_tasks(algorithm, state, seeds, decisions), backend)
-        evaluation = _evaluation(results, len(seeds), algorithm.design.intrinsic_level)
-        found.append(replace(evaluation, controller=name))
-    return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
-
-
-def _tasks(
-    algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], decisions: Decisions | None
-) -> tuple[list[EpisodeTask], Generation]:
-    """Return the tasks of an evaluation with `decisions` instead of the controller's, and what they share."""
-    parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
-    if decisions is not None:  # a network with parameters of 0 returns 0
-        parameters = tuple(
-            level.at_zero() if name == "controller" else level
-            for name, level in zip(algorithm.design.level_names, parameters, strict=True)
-        )
-    zeros = (0,) * len(parameters)
+    parameters, rows, names = algorithm.parameters(state), algorithm.episodes_in_lockstep, algorithm.design.level_names
+    zeros, found = (0,) * len(names), list[Evaluation]()
     tasks = [
         EpisodeTask(
             member=number,
@@ -156,10 +136,17 @@ def _tasks(
         )
         for number, block in enumerate(seeds[first : first + rows] for first in range(0, len(seeds), rows))
     ]
-    generation = Generation(
-        levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True, decisions=decisions
-    )
-    return tasks, generation
+    for name, decisions in _DECISIONS[controller].items():
+        levels = parameters
+        if decisions is not None:  # a network with parameters of 0 returns 0
+            pairs = zip(names, parameters, strict=True)
+            levels = tuple(level.at_zero() if own == "controller" else level for own, level in pairs)
+        generation = Generation(
+            levels=levels, sigma=0.0, episodes_per_policy=rows, is_evaluation=True, decisions=decisions
+        )
+        results = roll_out_tasks(tasks, generation, backend)
+        found.append(replace(_evaluation(results, len(seeds), algorithm.design.intrinsic_level), controller=name))
+    return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
 
 
 def _evaluation(results: PopulationResults, count: int, primitive: int | None) -> Evaluation:
@@ -216,26 +203,26 @@ def evaluate(
     Raises:
         ConfigError: The machine has no such device or not enough memory, or the run has no controller to replace.
     """
-    buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
-    execution: dict[str, Any] = {"num_workers": num_workers, "device": device, **buffers}
+    execution: dict[str, Any] = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
+    execution = {name: value for name, value in execution.items() if value is not None}
     if device == "cpu" and RunFolder.open(run).read_config().workers.backend != "serial":
         execution["backend"] = "processes"  # the cluster that trained the run need not be there
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
-    levels = opened.algorithm.design.level_names
+    config, algorithm, levels = opened.config, opened.algorithm, opened.config.level_names
     if controller != "trained" and "controller" not in levels:
         raise ConfigError(
             f"controller is {controller!r}, but {run} has no controller (levels: {', '.join(levels)}), so that only "
             "'trained' is allowed. Omit --controller, or choose a run of two levels."
         )
-    check_asked_device(opened.config, execution)
-    check_limits(opened.config, opened.algorithm.design, is_evaluation=True)
-    plan = opened.algorithm.plan()
+    check_asked_device(config, execution)
+    check_limits(config, algorithm.design, is_evaluation=True)
+    plan = algorithm.plan()
     if targets == "training":
         own = {"max_tilt": None} if isinstance(plan.training, FallOptions) else {}  # no target of training
         plan = replace(plan, evaluation=replace(plan.training, **own))
-    with build_backend(opened.config, plan, most_episodes(opened.config, is_evaluation=True)) as backend:
+    with build_backend(config, plan, most_episodes(config, is_evaluation=True)) as backend:
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
         seeds = fresh_seeds(opened.state, episodes, seed)
-        found = evaluate_state(opened.algorithm, opened.state, seeds, backend, controller)
+        found = evaluate_state(algorithm, opened.state, seeds, backend, controller)
     shown = found.controller if "controller" in levels else None
     return replace(found, run=str(run), checkpoint=checkpoint, controller=shown)

@@ -19,13 +19,13 @@ import numpy as np
 
 from shes.agents.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.agents.mlp import MLP
-from shes.checked import checked
 from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, open_run
+from shes.settings import checked
 from shes.storage import write_atomically
 from shes.types import F64Array
 

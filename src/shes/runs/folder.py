@@ -1,13 +1,19 @@
-"""The run folder: its files, its lock, and its record."""
+"""The run folder: its files, its lock, and its record with the provenance of the run."""
 
 from __future__ import annotations
 
 import json
+import os
+import platform
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
+from importlib import metadata
+from itertools import count
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -16,39 +22,14 @@ from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import ArrayCheck, Checkpoint, load_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.provenance import changes_since, provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
+from shes.sim.warp_device import WarpDevice
 from shes.storage import can_lock, storage_errors, write_atomically
 
 _FORMAT = 2
 _LOCK_S = 0.5
 """How long a lock is waited for: a list of runs takes it for a moment."""
-
-
-def new_folder(config: TrainConfig, kind: str = "") -> Path:
-    """Create a new folder below `runs/` in the working directory and return it; safe for concurrent runs.
-
-    Its name has environment, preset, `kind` and time; `kind` is the seed if empty.
-    """
-    env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
-    kind = kind or f"seed{config.run.seed}"
-    name = f"{env}-{config.run.preset}-{kind}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-    number = 1
-    while True:
-        path = Path("runs") / (name if number == 1 else f"{name}-{number}")
-        with storage_errors(path), suppress(FileExistsError):
-            path.mkdir(parents=True)
-            return path
-        number += 1
-
-
-def check_folder_of_runs(path: Path) -> None:
-    """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
-    for place in (path, *path.parents):
-        if place.exists() and not place.is_dir():
-            raise RunFolderError(f"{place} is a file, not a folder. Choose another path with --out.")
-    if (path / "config.json").exists():
-        raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
+_PACKAGES = ("shes", "mujoco", "numpy")
 
 
 class RunFolder:
@@ -94,23 +75,24 @@ class RunFolder:
             )
 
     @classmethod
-    def open(cls, run: Path | str, *, or_several: bool = False) -> RunFolder:
-        """Return the run folder `run`, a path or the name of a shipped agent; raise RunFolderError if it is neither.
-
-        The error for a folder of runs asks for one of them `or_several`.
-        """
+    def open(cls, run: Path | str) -> RunFolder:
+        """Return the run folder `run`, a path or the name of a shipped agent; raise RunFolderError if it is neither."""
         folder = cls(find_run(run))
+        path = folder.path
         if folder.config.is_file():
             return folder
-        if below := cls.below(folder.path):
-            raise _folder_of_runs(folder.path, below, or_several=or_several)
+        if below := cls.below(path):
+            what, which = f"a folder of {len(below)} runs", "one of them, such as "
+            if len(below) == 1:
+                what, which = "no run folder, but there is one below it", ""
+            raise RunFolderError(f"{path} is {what}: give {which}{below[0].path}.")
         if folder._lock.exists():
             raise RunFolderError(
-                f"{folder.path} holds a run that was stopped before it began. Begin it again by the same command."
+                f"{path} holds a run that was stopped before it began. Begin it again by the same command."
             )
-        what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
+        what = "is not a run folder: it has no config.json" if path.exists() else "does not exist"
         raise RunFolderError(
-            f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
+            f"{path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
         )
 
     @classmethod
@@ -186,11 +168,18 @@ class RunFolder:
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
         """Record that the run was resumed after `generation`; return the changes that may change numbers."""
         record, here = self.read_record(), provenance(config.workers.device, config.algorithm.packages)
-        changes = changes_since(record, here)
+        changes = _changes_since(record, here)
         record["config"] = config.to_dict()
         record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
         self.write_record(record)
         return changes
+
+    def origin(self) -> dict[str, Any]:
+        """Return what the record of another run keeps of this one, from which it has a level."""
+        if shipped_name(self.path) is not None:  # its name says enough
+            return {}
+        record, levels = self.read_record(), self.read_config().algorithm.transfers
+        return {name: record[name] for name in ("config", *levels) if name in record}
 
     def checkpoint_path(self, name: str | int) -> Path:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
@@ -207,13 +196,45 @@ class RunFolder:
         mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         theirs = {name: checkpoint.numbers.get(name, config.setting(name).default) for name in mine}
-        if theirs != mine:
-            other = [name for name in sorted(mine) if theirs[name] != mine[name]]
-            shown = ", ".join(f"{name} is {theirs[name]!r}, not {mine[name]!r}" for name in other[:3])
+        if others := [name for name in sorted(mine) if theirs[name] != mine[name]]:
+            shown = ", ".join(f"{name} is {theirs[name]!r}, not {mine[name]!r}" for name in others[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
         if seed != config.run.seed:
             raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
         return replace(checkpoint, numbers=mine)
+
+
+def checked_out(out: Path | str) -> Path:
+    """Return `out` as a path; raise ConfigError if it is not one."""
+    if not isinstance(out, str | os.PathLike) or not str(out):
+        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or omit it.")
+    return Path(out)
+
+
+def new_folder(config: TrainConfig, kind: str = "") -> Path:
+    """Create a new folder below `runs/` in the working directory and return it; safe for concurrent runs.
+
+    Its name has environment, preset, `kind` and time; `kind` is the seed if empty.
+    """
+    env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
+    kind = kind or f"seed{config.run.seed}"
+    name = f"{env}-{config.run.preset}-{kind}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    path = Path("runs") / name
+    for number in count(2):
+        with storage_errors(path), suppress(FileExistsError):
+            path.mkdir(parents=True)
+            break
+        path = path.with_name(f"{name}-{number}")
+    return path
+
+
+def check_folder_of_runs(path: Path) -> None:
+    """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
+    for place in (path, *path.parents):
+        if place.exists() and not place.is_dir():
+            raise RunFolderError(f"{place} is a file, not a folder. Choose another path with --out.")
+    if (path / "config.json").exists():
+        raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
 
 
 def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
@@ -222,16 +243,62 @@ def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
 
 
-def _folder_of_runs(path: Path, below: Sequence[RunFolder], *, or_several: bool) -> RunFolderError:
-    """Return the error that `path` holds the runs `below`, where one of them should be given, `or_several`."""
-    if len(below) == 1:
-        return RunFolderError(f"{path} is no run folder, but there is one below it: give {below[0].path}.")
-    shown = " ".join(str(folder.path) for folder in below[: 1 + or_several])
-    which = "one or several of them" if or_several else "one of them"
-    return RunFolderError(f"{path} is a folder of {len(below)} runs: give {which}, such as {shown}.")
-
-
 def _natural(path: Path) -> list[tuple[float, str]]:
     """Return a key that orders paths by their numbers: seed-2 before seed-10."""
     words = re.split(r"(\d+(?:\.\d+)?)", str(path))
     return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]
+
+
+def provenance(device: str, packages: Iterable[str] = ()) -> dict[str, Any]:
+    """Return time, command, versions, machine and `device` of a run of this process, as JSON types.
+
+    Its versions are those of the packages that every run uses, and of those of `packages` that are installed.
+    """
+    versions = {"python": platform.python_version()}
+    for name in (*_PACKAGES, *packages):
+        with suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    file = Path(sys.argv[0])
+    program = ["python", "-m", file.parent.name] if file.name == "__main__.py" else [file.name]
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": [*program, *sys.argv[1:]],
+        "versions": versions,
+        "git_commit": _git_commit(),
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+        "device": {"name": device} if device == "cpu" else WarpDevice(device).facts,
+    }
+
+
+def _changes_since(record: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return the changes that may change numbers: `numpy 2.4 -> 2.5`, `device cpu -> cuda`.
+
+    Versions are compared with those at the start of the run with this record, the device with that of its last part.
+    """
+    last = [record, *record.get("resumed", [])][-1].get("device", {"name": "cpu"})
+    here = now["device"] if last.get("name") == now["device"]["name"] else {"name": now["device"]["name"]}
+    pairs = [(name, record.get("versions", {}).get(name, own), own) for name, own in now["versions"].items()]
+    pairs += [("device" if name == "name" else name, last.get(name), own) for name, own in here.items()]
+    return [f"{name} {before} -> {own}" for name, before, own in pairs if before != own]
+
+
+def _git_commit() -> str | None:
+    """Return the git commit of this package's source tree; None if the package is not in a repository."""
+    here = Path(__file__)
+    try:
+        for command in (["ls-files", "--error-unmatch", here.name], ["rev-parse", "HEAD"]):
+            asked = subprocess.run(
+                ["git", *command], cwd=here.parent, capture_output=True, text=True, check=True, timeout=5
+            )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return asked.stdout.strip()
+
+
+def _processor() -> str:
+    """Return the processor's name: results are bit-identical only between processors with the same features."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())

@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from shes.errors import RunFolderError, ShesError
-from shes.listing import Listing, Table, facts_listing
+from shes.errors import ShesError
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import FreshEvaluation, read_agent, shipped_name, shipped_names
+from shes.runs.shipped import read_agent, shipped_name, shipped_names
 from shes.runs.tables import read_csv
+from shes.types import Listing, Table, facts_listing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,55 +19,50 @@ class RunState:
     """The state of a run. Fields that cannot be read are None."""
 
     run: str
-    env: str | None
-    algorithm: str | None
-    preset: str | None
-    seed: int | None
-    generation: int | None
+    env: str | None = None
+    algorithm: str | None = None
+    preset: str | None = None
+    seed: int | None = None
+    generation: int | None = None
     """Number of finished generations."""
-    generations: int | None
+    generations: int | None = None
     """Number of generations after which it ends."""
-    env_steps: int | None
-    best_score: float | None
+    env_steps: int | None = None
+    best_score: float | None = None
     """Score of the best evaluation; None before the first one."""
-    state: Literal["running", "finished", "stopped", "unreadable"]
+    state: Literal["running", "finished", "stopped", "unreadable"] = "unreadable"
     """A `stopped` run can be resumed; settings or checkpoint of an `unreadable` one cannot be read."""
     problem: str | None = None
     """Why the run is unreadable."""
 
 
+_FACTS = ("env", "algorithm", "preset", "seed", "generations")
+
+
 def run_state(folder: RunFolder) -> RunState:
-    """Return the state of the run in `folder`, by its tables if its settings or its checkpoint cannot be read."""
+    """Return the state of the run in `folder`."""
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
         config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
     except ShesError as error:
-        return _state_by_tables(folder, str(error))
+        told: dict[str, Any] = {}
+        faults = (ShesError, KeyError, TypeError, AttributeError, ValueError, OverflowError)
+        with suppress(*faults):
+            told = {each: folder.read_record()["config"]["run"].get(each) for each in _FACTS}
+        with suppress(*faults):  # by its tables
+            progress = read_csv(folder.progress)
+            told |= {each: int(progress[each][-1]) for each in ("generation", "env_steps")}
+            told["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
+        return RunState(run=str(folder.path), **told, problem=str(error))
     is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
-    names = ("env", "algorithm", "preset", "seed", "generations")
     return RunState(
         run=str(folder.path),
-        **{name: getattr(config.run, name) for name in names},
+        **{each: getattr(config.run, each) for each in _FACTS},
         generation=checkpoint.generation,
         env_steps=checkpoint.env_steps,
         best_score=checkpoint.best.score if checkpoint.best.generation >= 0 else None,
         state="running" if folder.is_locked() else "finished" if is_over else "stopped",
     )
-
-
-def _state_by_tables(folder: RunFolder, problem: str) -> RunState:
-    """Return the state of a run that cannot be read because of `problem`."""
-    run: dict[str, Any] = {}
-    with suppress(ShesError, KeyError, TypeError, ValueError):
-        run = dict(folder.read_record()["config"]["run"])
-    reached: dict[str, Any] = {"generation": None, "env_steps": None, "best_score": None}
-    with suppress(RunFolderError, KeyError, ValueError, OverflowError):
-        progress = read_csv(folder.progress)
-        reached |= {name: int(progress[name][-1]) for name in ("generation", "env_steps")}
-        reached["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
-    names = ("env", "algorithm", "preset", "seed", "generations")
-    told = {name: run.get(name) for name in names}
-    return RunState(run=str(folder.path), **told, **reached, state="unreadable", problem=problem)
 
 
 def list_runs(folder: Path | str = "runs") -> Listing:
@@ -83,7 +78,15 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
     if agents:
-        rows = [(name, it.env, *_scores(it.evaluation), f"{it.env_steps / 1e6:.1f}") for name, it in agents.items()]
+        rows = [
+            (
+                name,
+                it.env,
+                *("-" if found is None else found.score for found in it.evaluations),
+                f"{it.env_steps / 1e6:.1f}",
+            )
+            for name, it in agents.items()
+        ]
         parts += [
             Table(("agent", "environment", "score", "constant", "random", "steps"), rows),
             "Score: mean and standard error over fresh episodes. Steps: environment steps of training, in millions.",
@@ -92,11 +95,6 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         ]
     shown = {name: agent.to_dict() for name, agent in agents.items()}
     return Listing({"runs": [asdict(run) for run in runs], "agents": shown}, parts)
-
-
-def _scores(found: FreshEvaluation) -> list[str]:
-    """Return the score of an agent, and those of the other controllers."""
-    return ["-" if each is None else each.score for each in (found, found.constant, found.random)]
 
 
 def _row(run: RunState) -> tuple[str, ...]:
@@ -112,9 +110,6 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
     Args:
         run: The run folder, or the name of a shipped agent.
         full: Show all settings. JSON always has them.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
     """
     folder = RunFolder.open(run)
     record, config = folder.read_record(), folder.read_config()
@@ -134,9 +129,7 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         facts = {"agent": name, "algorithm": config.run.algorithm, "levels": levels, **agent.to_dict()}
         shown = {each: facts[each] for each in ("agent", "env", "algorithm", "levels", "env_steps", "hours", "cores")}
         shown["score"] = f"{agent.evaluation.score} over {agent.evaluation.episodes} fresh episodes"
-        for each in (agent.evaluation.constant, agent.evaluation.random):
-            if each is not None:
-                shown[f"score, {each.controller}"] = each.score
+        shown |= {f"score, {each.controller}": each.score for each in agent.evaluations[1:] if each is not None}
         parts = [f"It {agent.description.rstrip('.')}. Trained by:", *agent.commands]
     settings = {each: value for section in config.to_dict().values() for each, value in section.items()} if full else {}
     listing = facts_listing({**shown, **settings})

@@ -10,12 +10,11 @@ import numpy as np
 
 from shes.agents.frames import Frames
 from shes.algorithms.contract import Algorithm
-from shes.checked import checked
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, build_algorithm, open_run
 from shes.runs.config import TrainConfig
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.types import F32Array, F64Array, FloatArray
 
 

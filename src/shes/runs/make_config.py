@@ -10,13 +10,12 @@ from shes.algorithms.contract import PRESETS, Preset
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
-from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device
+from shes.runs.build import check_asked_device
+from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
-from shes.runs.run_settings import RunSettings, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.shipped import run_text
 from shes.runs.transfer import brought_settings, transferred_levels
-from shes.settings import Needs, setting_fields
+from shes.settings import Setting, setting_fields
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -35,15 +34,13 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     for name in transferred_levels():
         if isinstance(asked.get(name), Path):
             asked[name] = run_text(asked[name])
-    identity = {"env": env, "preset": preset}
-    values = {**identity, **preset_values(env, preset, asked), **asked}
+    values = {"env": env, "preset": preset, **preset_values(env, preset, asked), **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
     values |= asked
     for level in algorithm_of(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
-            checkpoint = values.get(f"{level}_checkpoint", "best")
-            values.update(brought_settings(level, values[level], checkpoint, values, asked))
+            values |= brought_settings(level, values, asked)
     config = TrainConfig.of(**values)
     check_asked_device(config, asked)
     _check_effects(config, asked)
@@ -51,24 +48,21 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
 
 
 def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that `preset` gives to settings of a run of `env`, by the algorithm in `asked` if it has one.
-
-    Raises:
-        ConfigError: The preset is for other algorithms.
-    """
+    """Return the values that `preset` gives to a run of `env`, by the algorithm in `asked` if it has one."""
     known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
     default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
     run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})
-    settings = by_name(settings_by_section(run))
+    own = algorithm_of(run).presets
     if run.algorithm not in known:
         raise ConfigError(
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
-            f"Set --preset {', '.join(dict.fromkeys((*PRESETS, *algorithm_of(run).presets)))}, or omit --algorithm."
+            f"Set --preset {', '.join(dict.fromkeys((*PRESETS, *own)))}, or omit --algorithm."
         )
     limit = find_environment(env).max_episode_steps
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
-    common, own = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, algorithm_of(run).presets))
-    values = {**common, **own, **limits, "algorithm": run.algorithm}
+    common, special = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, own))
+    settings = by_name(settings_by_section(run))
+    values = {**common, **special, **limits, "algorithm": run.algorithm}
     return {name: value for name, value in values.items() if name in settings}
 
 
@@ -82,26 +76,25 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."
             )
-        if not setting.needs or _is_heeded(config, setting.needs):
+        if _is_heeded(config, setting):
             continue
         needed = [each for each in setting.needs if each.other in config.values]
         others = ", ".join(f"{each.other} {config.values[each.other]!r}" for each in needed)
-        fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
+        fixes = [f"Set {config.setting(each.other).flag}{_one_of(each.values)}, or omit" for each in needed[:1]]
         raise ConfigError(
-            f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or omit {setting.flag}."
+            f"{name} has no effect with {others}, got {asked[name]!r}. {' '.join(fixes) or 'Omit'} {setting.flag}."
         )
     config.algorithm.check_effects(config, asked)
 
 
-def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:
-    """Return whether one of `needs` is fulfilled by a setting that has an effect itself."""
-    for need in needs:
-        if need.other not in config.values:
-            continue
-        value, others = config.values[need.other], config.setting(need.other).needs
-        if (value in need.values if need.values else value is not None) and (not others or _is_heeded(config, others)):
+def _is_heeded(config: TrainConfig, setting: Setting) -> bool:
+    """Return whether `setting` needs no other one, or one that is set and has an effect itself."""
+    for need in setting.needs:
+        value = config.values.get(need.other)
+        is_set = value in need.values if need.values else value is not None
+        if is_set and _is_heeded(config, config.setting(need.other)):
             return True
-    return False
+    return not setting.needs
 
 
 def _one_of(values: tuple[str, ...]) -> str:

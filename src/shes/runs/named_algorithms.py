@@ -15,7 +15,7 @@ from shes.registry import Registry, check_class, full_name
 
 TAKEN_SECTIONS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
-    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "options", "sections",
+    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "sections",
     "setting", "to_dict", "values",
 })  # fmt: skip
 """Names that a section of an algorithm cannot have: sections of every run, and attributes of `TrainConfig`."""
@@ -57,10 +57,6 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
     Args:
         name: Lower-case words joined by `-` or `_`.
         algorithm: A complete subclass of `Algorithm`, made from one argument, the `Problem`.
-
-    Raises:
-        ConfigError: The class is not a complete subclass, or the name, or that of a section or an option, is malformed
-            or already taken.
     """
     ALGORITHMS.register(name, algorithm)
 
@@ -79,17 +75,15 @@ def algorithm_classes() -> tuple[type[Algorithm[Any]], ...]:
 class _PresetNames(Collection[str]):
     """The names at the time of asking, because an algorithm may be registered later."""
 
-    def _names(self) -> dict[str, None]:
-        return dict.fromkeys(name for each in (PRESETS, *(cls.presets for cls in algorithm_classes())) for name in each)
-
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names())
+        presets = (PRESETS, *(cls.presets for cls in algorithm_classes()))
+        return iter(dict.fromkeys(name for each in presets for name in each))
 
     def __contains__(self, name: object) -> bool:
-        return name in self._names()
+        return any(each == name for each in self)
 
     def __len__(self) -> int:
-        return len(self._names())
+        return sum(1 for _ in self)
 
 
 PRESET_NAMES = _PresetNames()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,10 +17,9 @@ from rich.text import Text
 
 from shes.console import LineConsole
 from shes.runs.config import TrainConfig
-from shes.runs.listeners import AnyListener
+from shes.runs.recorder import AnyListener
 from shes.runs.tables import Row
 
-_BLOCKS, _ASCII_BLOCKS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
 _LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
 _REMEMBERED = 20  # generations from which the time left is estimated
 
@@ -57,20 +55,18 @@ def with_display(listener: AnyListener, progress: bool | None) -> Iterator[AnyLi
 
 
 class ProgressDisplay:
-    """A `Listener` that shows generation, returns of the levels, evaluation score, steps per second and time left."""
+    """A listener that shows generation, returns of the levels, evaluation score, steps per second and time left."""
 
     def __init__(self, console: Console) -> None:
         """Show on `console`; use as a context manager."""
         self.path: Path | None = None
         """The run folder, once there is one."""
         self._console = console
-        self._is_ascii = console.options.ascii_only
         can_redraw = console.is_terminal and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
         self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
         self._row: Row = {}
         self._evaluation: Row = {}
-        self._scores: list[float] = []
         self._events: deque[str] = deque(maxlen=3)
         self._shares: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)  # (time, share of the run)
 
@@ -100,11 +96,14 @@ class ProgressDisplay:
 
     def on_generation(self, row: Row) -> None:
         """Show a generation."""
-        self._row, now = row, monotonic()
-        self._shares.append((now, self._share(now)))
-        is_last = self._run.is_over(row["generation"], row["env_steps"])
+        self._row, now, run = row, monotonic(), self._run
+        shares = [row["generation"] / run.generations]  # of the limit that is reached first
+        shares += [] if run.env_steps is None else [row["env_steps"] / run.env_steps]
+        shares += [] if run.minutes is None else [(now - self._start) / (60 * run.minutes)]
+        self._shares.append((now, min(1.0, max(shares))))
+        is_last = run.is_over(row["generation"], row["env_steps"])
         if self._live is not None:
-            self._live.update(self._view(), refresh=True)
+            self._redraw(self._live)
         elif now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1:
             self._last_line = now
             self._print(Text("  ".join(f"{name} {value}" for name, value in self._facts())))
@@ -112,30 +111,19 @@ class ProgressDisplay:
     def on_evaluation(self, row: Row) -> None:
         """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
         self._evaluation = row
-        if math.isfinite(row["score_mean"]):  # a task of one's own may have a score of NaN
-            self._scores.append(row["score_mean"])
-        if self._live is not None and self._row:
-            self._live.update(self._view(), refresh=True)
+        if self._live is not None:
+            self._redraw(self._live)
 
     def on_event(self, event: str) -> None:
         """Show a warning at once."""
         self._events.append(event)
         if self._live is not None:
-            self._live.update(self._view(), refresh=True)
+            self._redraw(self._live)
         else:
             self._print(Text(event, style="yellow"))
 
     def _print(self, text: Text) -> None:
         self._console.print(text, highlight=False, soft_wrap=True)
-
-    def _share(self, now: float) -> float:
-        """Return the share of the run that is done, by the limit that is reached first."""
-        shares = [self._row["generation"] / self._run.generations]
-        if self._run.env_steps is not None:
-            shares.append(self._row["env_steps"] / self._run.env_steps)
-        if self._run.minutes is not None:
-            shares.append((now - self._start) / (60 * self._run.minutes))
-        return min(1.0, max(shares))
 
     def _time_left(self) -> str:
         """Return the time left, estimated from the last generations, as text."""
@@ -148,7 +136,8 @@ class ProgressDisplay:
         """Return the names and values shown."""
         row, found, score = self._row, self._evaluation, "-"
         if found:
-            score = f"{found['score_mean']:.2f} {'+/-' if self._is_ascii else '±'} {found['score_std']:.2f}"
+            sign = "+/-" if self._console.options.ascii_only else "±"
+            score = f"{found['score_mean']:.2f} {sign} {found['score_std']:.2f}"
         at_most = " at most" * (self._run.env_steps is not None or self._run.minutes is not None)
         levels = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
         returns = {name: (row[f"{name}_return_mean"], row[f"{name}_return_max"]) for name in levels}
@@ -160,29 +149,17 @@ class ProgressDisplay:
             ("time left", self._time_left()),
         ]
 
-    def _view(self) -> Group:
-        """Return the redrawn block; it fits 40 columns and uses up to 100."""
-        events = [Text(event, style="yellow") for event in self._events]
-        if not self._row:  # before the first generation
-            return Group(*events)
-        width = min(self._console.width, 100)
-        table = Table.grid(padding=(0, 2))
-        table.add_column(style="dim", no_wrap=True)
-        table.add_column(no_wrap=True, overflow="ellipsis")
-        for name, value in self._facts():
-            table.add_row(Text(name), Text(value))
-        if len(self._scores) > 1:
-            blocks = _ASCII_BLOCKS if self._is_ascii else _BLOCKS
-            table.add_row("score so far", Text(_sparkline(self._scores, max(10, width - 22), blocks), style="green"))
-        bar = Table.grid()  # ends the line, which the bar alone does not
-        bar.add_row(ProgressBar(total=1000, completed=round(1000 * self._shares[-1][1]), width=width))
-        return Group(bar, table, *events)
-
-
-def _sparkline(values: list[float], width: int, blocks: str) -> str:
-    """Return a line chart of `values` of at most `width` characters, drawn with `blocks` of rising height."""
-    step = -(-len(values) // width)
-    shown = [sum(values[i : i + step]) / len(values[i : i + step]) for i in range(0, len(values), step)]
-    low, high = min(shown), max(shown)
-    scale = (len(blocks) - 1) / (high - low) if high > low else 0
-    return "".join(blocks[round((value - low) * scale)] for value in shown)
+    def _redraw(self, live: Live) -> None:
+        """Draw the block again; it fits 40 columns and uses up to 100."""
+        parts: list[Table | Text] = [Text(event, style="yellow") for event in self._events]
+        if self._row:
+            table = Table.grid(padding=(0, 2))
+            table.add_column(style="dim", no_wrap=True)
+            table.add_column(no_wrap=True, overflow="ellipsis")
+            for name, value in self._facts():
+                table.add_row(Text(name), Text(value))
+            bar = Table.grid()  # ends the line, which the bar alone does not
+            width = min(self._console.width, 100)
+            bar.add_row(ProgressBar(total=1000, completed=round(1000 * self._shares[-1][1]), width=width))
+            parts = [bar, table, *parts]
+        live.update(Group(*parts), refresh=True)

@@ -1,4 +1,4 @@
-"""The files of a run in training: rows of its tables, checkpoints, the best evaluation, the log.
+"""The files of a run in training: rows of its tables, checkpoints, the best evaluation, the log; and its listeners.
 
 A generation is on the disk in this order: its rows, the checkpoints `best` and those that are kept, and at last `last`.
 A run killed before that repeats the generation.
@@ -6,28 +6,95 @@ A run killed before that repeats the generation.
 
 from __future__ import annotations
 
+import inspect
 import logging
 import math
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from time import perf_counter, process_time
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.backends.backend import Backend
-from shes.errors import DivergenceError
+from shes.errors import ConfigError, DivergenceError, UnknownNameError
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.evaluate import Evaluation, evaluate_state, evaluation_seeds, logger
+from shes.runs.evaluate import evaluate_state, evaluation_seeds, logger
 from shes.runs.folder import RunFolder
-from shes.runs.listeners import Listeners
-from shes.runs.tables import CsvTable, Row, read_process_time, read_wall_time
+from shes.runs.tables import CsvTable, Row, last_value
 from shes.storage import storage_errors
 
 _MOST_DIVERGED = 10
 """Generations in a row in which every episode diverges, after which a run ends."""
+
+
+class StopTraining(Exception):  # noqa: N818 - a request, as StopIteration is
+    """Raised by a listener to end the run after this generation, as if it were over."""
+
+
+AnyListener: TypeAlias = "Callable[[Row], Any] | object | Sequence[Any] | None"
+"""A function of a row of `progress.csv`, an object with any of the methods below, several of these, or None."""
+
+_METHODS = {
+    "on_start": ("path", "config", "generation", "num_workers"),  # of the run, which begins after `generation`
+    "on_generation": ("row",),  # of progress.csv
+    "on_evaluation": ("row",),  # of evaluation.csv
+    "on_event": ("event",),  # a warning: a silent or lost worker, diverged episodes, or one of the simulator
+}
+"""Methods of a listener, with their parameters. One that returns True ends the run."""
+
+
+class Listeners:
+    """The listeners of a run."""
+
+    def __init__(self, listener: AnyListener) -> None:
+        """Raise ConfigError or UnknownNameError unless each is a function of a row or has some of these methods."""
+        each = listener if isinstance(listener, list | tuple) else () if listener is None else (listener,)
+        self._methods = [_methods(one) for one in each]
+
+    def tell(self, method: str, *content: Any) -> bool:
+        """Call `method` of every listener that has it; return whether one asks to end the run."""
+        wants_end = False
+        for methods in self._methods:
+            if method in methods:
+                try:
+                    answer = methods[method](*content)
+                except StopTraining:
+                    answer = True
+                wants_end |= isinstance(answer, bool | np.bool_) and bool(answer)
+        return wants_end
+
+
+def _methods(listener: Any) -> dict[str, Callable[..., Any]]:
+    """Return the methods of a listener by name; a plain function is its `on_generation`."""
+    if isinstance(listener, type):
+        name = listener.__name__
+        raise ConfigError(f"listener must be an object, got the class {name}. Write {name}().")
+    names = [name for name in dir(listener) if name.startswith("on_") and callable(getattr(listener, name))]
+    if unknown := [name for name in names if name not in _METHODS]:
+        raise UnknownNameError("method of a listener", unknown[0], _METHODS, "Rename it.")
+    found = {name: getattr(listener, name) for name in names}
+    if not found and callable(listener):
+        found = {"on_generation": listener}
+    if not found:
+        raise ConfigError(
+            f"listener must be a function of a row, or an object with any of {', '.join(_METHODS)}; got {listener!r}."
+        )
+    for name, method in found.items():
+        shown = getattr(method, "__qualname__", repr(method))
+        if inspect.iscoroutinefunction(method):
+            raise ConfigError(f"listener {shown} must be a plain function, not an async one.")
+        try:
+            inspect.signature(method).bind(*_METHODS[name])
+        except TypeError as error:
+            raise ConfigError(f"listener {shown} must take ({', '.join(_METHODS[name])}): {error}.") from error
+        except ValueError:  # some built-in functions have no signature
+            pass
+    return found
 
 
 class Divergence:
@@ -44,13 +111,12 @@ class Divergence:
             self._in_a_row, self._is_any_sound = 0, True
             return None
         self._in_a_row += 1
-        if not has_returns:
-            return f"no return of generation {row['generation']} is finite: nothing can be learned from it"
-        episodes = f"all {row['diverged_episodes']} episodes" if "diverged_episodes" in row else "every episode"
-        return (
-            f"{episodes} of generation {row['generation']} diverged (physics, observation or reward not finite): "
-            "nothing can be learned from it"
-        )
+        what = f"no return of generation {row['generation']} is finite"
+        if has_returns:
+            episodes = f"all {row['diverged_episodes']} episodes" if "diverged_episodes" in row else "every episode"
+            of = f"of generation {row['generation']}"
+            what = f"{episodes} {of} diverged (physics, observation or reward not finite)"
+        return f"{what}: nothing can be learned from it"
 
     def check(self, *, is_over: bool) -> None:
         """Raise DivergenceError after ten diverged generations in a row, or at the end of a run of nothing else."""
@@ -81,8 +147,9 @@ class Recorder:
             "evaluation": CsvTable(folder.evaluation, checkpoint.generation),
         }
         self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
-        self._earlier_s = read_wall_time(folder.progress)
-        self._earlier_process_s = read_process_time(folder.progress)
+        self._earlier_s, self._earlier_process_s = (
+            last_value(folder.progress, name) for name in ("wall_time_s", "process_time_s")
+        )
 
     def close(self) -> None:
         """Close the event file."""
@@ -102,71 +169,64 @@ class Recorder:
 
     def is_over(self) -> bool:
         """Return whether the run or the time of this call is over, or a listener has ended it."""
-        minutes = self._config.run.minutes
-        is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
-        last = self.checkpoint
-        return self._is_stopped or is_late or self._config.run.is_over(last.generation, last.env_steps)
+        run, last = self._config.run, self.checkpoint
+        is_late = run.minutes is not None and perf_counter() - self._start >= 60 * run.minutes
+        return self._is_stopped or is_late or run.is_over(last.generation, last.env_steps)
 
     def evaluate_if_due(self, report: Report[Any]) -> tuple[Row, Row | None]:
         """Return the row of a generation, and that of its evaluation if it is due. This writes no file."""
-        state, now = report.state, perf_counter()
-        made = state.env_steps - self.checkpoint.env_steps
+        state, now, settings = report.state, perf_counter(), self._config.evaluation
         reached = {"generation": state.generation, "env_steps": state.env_steps}
+        made = state.env_steps - self.checkpoint.env_steps
         row: Row = {
             **reached,
-            "wall_time_s": round(self._earlier_s + now - self._start, 3),
+            "wall_time_s": self._wall_time(),
             "env_steps_per_s": round(made / (now - self._generation_start), 1),
             **report.columns,
             "evaluation_s": 0.0,
         }
-        evaluated, evaluation = None, self._config.evaluation
-        if state.generation == 1 or state.generation % evaluation.evaluation_interval == 0:
-            seeds = evaluation_seeds(state.seed, state.generation, evaluation.evaluation_episodes)
-            found: Evaluation = evaluate_state(self.algorithm, state, seeds, self._backend)
+        evaluated = None
+        if state.generation == 1 or state.generation % settings.evaluation_interval == 0:
+            seeds = evaluation_seeds(state.seed, state.generation, settings.evaluation_episodes)
+            found = evaluate_state(self.algorithm, state, seeds, self._backend).summary()
             row["evaluation_s"] = round(perf_counter() - now, 4)
-            wall_time_s = round(self._earlier_s + perf_counter() - self._start, 3)
-            evaluated = {
-                **reached,
-                "wall_time_s": wall_time_s,
-                **found.summary(),
-                "process_time_s": self._process_time(),
-            }
+            evaluated = {**reached, "wall_time_s": self._wall_time(), **found, "process_time_s": self._process_time()}
         row["process_time_s"] = self._process_time()
         self._generation_start = perf_counter()
         return row, evaluated
 
     def add(self, report: Report[Any], row: Row, evaluated: Row | None) -> None:
-        """Write the rows and the checkpoints of a generation, and tell the listeners.
-
-        Raises:
-            DivergenceError: Every episode of the last generations has diverged.
-        """
+        """Write the rows and the checkpoints of a generation, and tell the listeners."""
         warning = self._divergence.add(row)
         for event in (*report.log, *([warning] if warning else [])):
             self._tell_event(event)
         for name, added in (("progress", row), ("evaluation", evaluated)):
             if added is not None:
-                self._tables[name].add(added)
+                self._tables[name].add(added)  # a checkpoint on the disk needs the rows before it
                 self._events.add(name, added)
-                self._tables[name].flush()  # a checkpoint on the disk needs the rows before it
-        self._save(report.state, evaluated)
+        self._save(report.state, is_best=self._is_best(evaluated))
         self._tell("on_generation", row)
         if evaluated is not None:
             self._tell("on_evaluation", evaluated)
         self._divergence.check(is_over=self.is_over())
 
-    def _save(self, state: Any, evaluated: Row | None) -> None:
+    def _is_best(self, evaluated: Row | None) -> bool:
+        """Return whether an evaluation is the best so far, which it then becomes."""
+        if evaluated is None:
+            return False
+        score, mean_return, count = evaluated["score_mean"], evaluated["return_mean"], evaluated["episodes"]
+        if evaluated["diverged_episodes"] == count:
+            self._tell_event(f"all {count} episodes of the evaluation diverged: its score does not count")
+            return False
+        is_best = self.checkpoint.best.is_beaten_by(score, mean_return)
+        if is_best:
+            best = Best(generation=evaluated["generation"], score=score, mean_return=mean_return)
+            self.checkpoint = replace(self.checkpoint, best=best)
+        return is_best
+
+    def _save(self, state: Any, *, is_best: bool) -> None:
         """Write the checkpoints of a generation; `last` comes last."""
         checkpoint = replace(self.checkpoint, arrays=self.algorithm.to_arrays(state))
-        is_best = False
-        if evaluated is not None:
-            if evaluated["diverged_episodes"] == evaluated["episodes"]:
-                count = evaluated["episodes"]
-                self._tell_event(f"all {count} episodes of the evaluation diverged: its score does not count")
-            elif checkpoint.best.is_beaten_by(evaluated["score_mean"], evaluated["return_mean"]):
-                score, mean_return = evaluated["score_mean"], evaluated["return_mean"]
-                best = Best(generation=state.generation, score=score, mean_return=mean_return)
-                checkpoint, is_best = replace(checkpoint, best=best), True
         is_kept = state.generation % self._config.evaluation.keep_checkpoints == 0
         names = ["best"] * is_best + [str(state.generation)] * is_kept
         if names:
@@ -176,6 +236,10 @@ class Recorder:
                 save_checkpoint(self.folder.checkpoint_path(name), replace(checkpoint, arrays=arrays))
         save_checkpoint(self.folder.checkpoint_path("last"), checkpoint)
         self.checkpoint = checkpoint
+
+    def _wall_time(self) -> float:
+        """Return the wall-clock time of the run so far, in seconds."""
+        return round(self._earlier_s + perf_counter() - self._start, 3)
 
     def _process_time(self) -> float:
         """Return the processor time of this process for the run so far, in seconds; without that of its workers."""

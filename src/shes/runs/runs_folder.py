@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,25 +17,20 @@ from typing import Any
 from shes.console import LineConsole
 from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, ShesError, WorkerError
 from shes.es.noise import NoiseTable
-from shes.listing import Listing
-from shes.runs.build import build_algorithm
-from shes.runs.config import TrainConfig
-from shes.runs.device import check_limits
+from shes.runs.build import build_algorithm, check_limits
+from shes.runs.config import TrainConfig, check_names, known_settings
 from shes.runs.folder import RunFolder, check_folder_of_runs, differing
-from shes.runs.interruption import resumable
-from shes.runs.listeners import AnyListener
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import ProgressDisplay
-from shes.runs.run_settings import check_names, known_settings
 from shes.runs.shipped import find_run
 from shes.runs.tables import trained_minutes
-from shes.runs.train import check_resumable, finish_run
+from shes.runs.train import check_resumable, finish_run, resumable
 from shes.settings import Setting, out_of_range
 from shes.storage import storage_errors, write_atomically
+from shes.types import Listing
 
 _RECORD = "runs.json"
 _FORMAT = 1
-_MOST_RUNS = 1_000
 _ELSEWHERE = {"seed": "Give several seeds by --seed 1 2 3.", "env": "Runs of a folder have one environment."}
 
 
@@ -60,7 +54,7 @@ def read_sweep(texts: Iterable[str]) -> dict[str, dict[str, Any]]:
         if setting.name in sweep:
             raise ConfigError(f"{setting.name} is swept twice. Give all its values at once: {name}=A,B,C.")
         found = {each.strip(): _value(setting, each.strip()) for each in values.split(",")}
-        if len(found) < values.count(",") + 1 or len(set(found.values())) < len(found):
+        if len(set(found.values())) < values.count(",") + 1:
             raise ConfigError(f"--sweep {text} has a value twice. Remove it.")
         sweep[setting.name] = found
     return sweep
@@ -91,44 +85,32 @@ def vary(
 ) -> dict[str, TrainConfig]:
     """Return the settings of a run for every seed and every combination of swept values.
 
-    The keys are the places of the runs in their folder: `seed-1`, or `sigma-0.02_hidden-64/seed-1`.
+    The keys are the places of the runs in their folder: `seed-1`, or `sigma-0.02_hidden-64/seed-1`. All that can be
+    refused is refused here, before the first run.
     """
-    _check_variations(settings, seeds, sweep)
-    found: dict[str, TrainConfig] = {}
-    for texts in itertools.product(*sweep.values()):
-        group = "_".join(
-            re.sub(r"[^A-Za-z0-9.+-]+", "-", f"{name.replace('_', '-')}-{text}")[:80]
-            for name, text in zip(sweep, texts, strict=True)
-        )
-        while group and f"{group}/seed-{seeds[0]}" in found:  # the file names of two values may be equal
-            group += "-"
-        values = {name: sweep[name][text] for name, text in zip(sweep, texts, strict=True)}
-        for seed in seeds:
-            asked = {**settings, **values, "seed": seed}
-            config = make_config(env, asked.pop("preset", preset), asked)
-            if seed == seeds[0]:  # all that can be refused is refused before the first run
-                check_limits(config, build_algorithm(config).design)
-                if "noise_table_size" in config.values:
-                    NoiseTable.check_room(config.values["noise_table_size"])
-            found[f"{group}/seed-{seed}" if group else f"seed-{seed}"] = config
-    return found
-
-
-def _check_variations(
-    settings: Mapping[str, Any], seeds: Sequence[int], sweep: Mapping[str, Mapping[str, Any]]
-) -> None:
-    """Raise ConfigError for settings that are given and swept, for seeds given twice or none, and for too many runs."""
-    for name in sweep:
-        if name in settings:
-            raise ConfigError(f"{name} is both given and swept. Omit one.")
+    if twice := sweep.keys() & settings.keys():
+        raise ConfigError(f"{min(twice)} is both given and swept. Omit one.")
     if not seeds:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
     for seed in seeds:
         if seeds.count(seed) > 1:
             raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")
-    count = math.prod((len(seeds), *map(len, sweep.values())))
-    if count > _MOST_RUNS:
-        raise ConfigError(f"these are {count:,} runs; at most {_MOST_RUNS:,} are allowed. Sweep fewer values.")
+    found: dict[str, TrainConfig] = {}
+    for texts in itertools.product(*sweep.values()):
+        values = {name: sweep[name][text] for name, text in zip(sweep, texts, strict=True)}
+        words = (f"{name.replace('_', '-')}-{text}" for name, text in zip(sweep, texts, strict=True))
+        group = "_".join(re.sub(r"[^A-Za-z0-9.+-]+", "-", word)[:80] for word in words)
+        while group and f"{group}/seed-{seeds[0]}" in found:  # the file names of two values may be equal
+            group += "-"
+        for seed in seeds:
+            asked = {**settings, **values, "seed": seed}
+            config = make_config(env, asked.pop("preset", preset), asked)
+            if seed == seeds[0]:
+                check_limits(config, build_algorithm(config).design)
+                if "noise_table_size" in config.values:
+                    NoiseTable.check_room(config.values["noise_table_size"])
+            found[f"{group}/seed-{seed}" if group else f"seed-{seed}"] = config
+    return found
 
 
 class RunsFolder:
@@ -142,16 +124,26 @@ class RunsFolder:
     @property
     def left(self) -> list[str]:
         """The runs that have not ended, in order."""
-        return [name for name in self.configs if not self._has_ended(name)]
+        return [name for name in self.configs if not self._end(name)]
 
-    def _has_ended(self, name: str) -> bool:
+    def _end(self, name: str) -> str:
+        """Return the flag of the limit that a run has reached; empty if it has not ended."""
         folder, run = RunFolder(self.path / name), self.configs[name].run
         try:
             last = folder.load("last", with_state=False)
-            is_late = run.minutes is not None and trained_minutes(folder) >= run.minutes
-            return is_late or run.is_over(last.generation, last.env_steps)
+            if run.is_over(last.generation, last.env_steps):
+                return "--generations"
+            return "--minutes" if run.minutes is not None and trained_minutes(folder) >= run.minutes else ""
         except ShesError:  # it has not begun, or is damaged, which shows when it goes on
-            return False
+            return ""
+
+    @property
+    def how_to_go_on(self) -> str:
+        """The command that goes on with runs of which all have ended."""
+        found = f"shes resume {shlex.quote(str(self.path))}"
+        if late := [name for name in self.configs if self._end(name) == "--minutes"]:
+            return f"{found} --minutes {self.configs[late[0]].run.minutes:g}"
+        return f"{found} --generations {2 * max(config.run.generations for config in self.configs.values())}"
 
     @staticmethod
     def is_at(path: Path | str) -> bool:
@@ -179,17 +171,19 @@ class RunsFolder:
         `minutes` is the time of every run from now on.
         """
         check_resumable(settings)
-        path = Path(path)
-        file = path / _RECORD
+        file, minutes = Path(path) / _RECORD, settings.get("minutes")
         try:
-            configs = _read(json.loads(file.read_text(encoding="utf-8")))
+            record = json.loads(file.read_text(encoding="utf-8"))
+            configs = {name: TrainConfig.from_dict(each) for name, each in record["runs"].items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RunFolderError(f"{file} cannot be read: {error}. Restore it from a copy.") from error
-        changed = {name: each.having(**settings) for name, each in configs.items()}
-        if settings.get("minutes") is not None:
-            spent = {name: trained_minutes(RunFolder(path / name)) for name in changed}
-            changed = {name: each.having(minutes=settings["minutes"] + spent[name]) for name, each in changed.items()}
-        return cls(path, changed)
+        if record.get("format") != _FORMAT or not configs:
+            raise RunFolderError(f"{file} has no runs in format {_FORMAT}. Restore it from a copy.")
+        for name, config in configs.items():
+            if minutes is not None:
+                settings["minutes"] = minutes + trained_minutes(RunFolder(file.parent / name))
+            configs[name] = config.having(**settings)
+        return cls(file.parent, configs)
 
     def train_shown(self, names: list[str]) -> Listing:
         """Train those of the runs `names` that are left to their ends, in order, and show their progress.
@@ -210,7 +204,7 @@ class RunsFolder:
                 console.print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
                 try:
                     with ProgressDisplay(console) as display:
-                        self._finish(name, display)
+                        finish_run(self.configs[name], self.path / name, display)
                 except (DivergenceError, PolicyError, RunFolderError, WorkerError) as error:  # of this run alone
                     errors.append(f"{name} failed: {error}")
                     console.print_line(errors[-1])
@@ -222,27 +216,9 @@ class RunsFolder:
             f"Done: {len(names)} runs, one in each folder below {found}.",
             f"Next: shes plot {found} · shes list {found} · shes evaluate {shlex.quote(str(self.path / names[0]))}",
         ]
+        if late := [name for name in names if self._end(name) == "--minutes"]:
+            parts.insert(1, f"{len(late)} of them stopped with their time. Go on: {self.how_to_go_on}")
         return Listing({"runs": names, "errors": errors}, parts, errors)
-
-    def _finish(self, name: str, listener: AnyListener) -> None:
-        """Train the run `name` to its end."""
-        config, path = self.configs[name], self.path / name
-        if config.run.minutes is not None:
-            left = config.run.minutes - trained_minutes(RunFolder(path))
-            config = config.having(minutes=max(1e-9, left))
-        finish_run(config, path, listener)
-
-
-def _read(record: dict[str, Any]) -> dict[str, TrainConfig]:
-    """Return the settings of the runs by place; raise ValueError if the record is malformed."""
-    if record["format"] != _FORMAT:
-        raise ValueError(f"its format is {record['format']!r}, not {_FORMAT}")
-    for name in record["runs"]:
-        if not re.fullmatch(r"[A-Za-z0-9.+_-]+(/[A-Za-z0-9.+_-]+)?", name) or {".", ".."} & set(name.split("/")):
-            raise ValueError(f"{name!r} is no place of a run")
-    if not record["runs"]:
-        raise ValueError("it has no run")
-    return {name: TrainConfig.from_dict(each) for name, each in record["runs"].items()}
 
 
 def find_runs(run: Path | str) -> list[RunFolder]:

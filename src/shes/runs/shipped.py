@@ -68,6 +68,11 @@ class ShippedAgent:
     """Generation of its run with the best evaluation, whose policies it has."""
     evaluation: FreshEvaluation
 
+    @property
+    def evaluations(self) -> tuple[FreshScore | None, ...]:
+        """Its results, and those of the constant and the random controller."""
+        return self.evaluation, self.evaluation.constant, self.evaluation.random
+
     def to_dict(self) -> dict[str, Any]:
         """Return the description as JSON types."""
         return {**asdict(self), "commands": list(self.commands)}
@@ -125,10 +130,10 @@ def run_text(run: Path | str) -> str:
 def shipped_hint(run: Path | str) -> str:
     """Return a hint at shipped agents for the error that `run` is not a run folder; empty without agents."""
     given, names = os.fspath(run), shipped_names()
-    if given in names and not os.path.lexists(given):
-        return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."
     if given in names:
-        return f" It hides the shipped agent {given}: rename it, or work in another folder, to use that one."
+        if os.path.lexists(given):
+            return f" It hides the shipped agent {given}: rename it, or work in another folder, to use that one."
+        return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."
     if not names or os.sep in given:
         return ""
     close = difflib.get_close_matches(given, names, n=1)

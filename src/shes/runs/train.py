@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shlex
+import signal
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
@@ -15,23 +16,24 @@ import numpy as np
 from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
-from shes.listing import Listing
-from shes.runs.build import build_algorithm, build_backend, check_device
+from shes.runs.build import (
+    build_algorithm,
+    build_backend,
+    check_asked_device,
+    check_device,
+    check_limits,
+    most_episodes,
+)
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
-from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device, check_limits, most_episodes
+from shes.runs.config import TrainConfig, known_settings, resumable_settings
 from shes.runs.evaluate import logger
-from shes.runs.folder import RunFolder, differing, new_folder
-from shes.runs.interruption import Interruption, resumable
-from shes.runs.listeners import AnyListener, Listeners
+from shes.runs.folder import RunFolder, checked_out, differing, new_folder
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import with_display
-from shes.runs.recorder import Recorder, run_log
-from shes.runs.run_settings import execution_settings, known_settings
-from shes.runs.tables import read_csv
+from shes.runs.recorder import AnyListener, Listeners, Recorder, run_log
+from shes.runs.tables import read_csv, trained_minutes
 from shes.runs.transfer import check_robot, transfer
-from shes.settings import Setting
-from shes.types import F64Array
+from shes.types import F64Array, Listing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,18 +45,23 @@ class Run:
     config: TrainConfig = field(repr=False)
     generation: int
     """Number of finished generations."""
+    env_steps: int
+    """Environment steps of training."""
     best: Best
     """The best evaluation."""
 
     def listing(self) -> Listing:
         """Return the listing of what it has reached and what can be done next."""
-        best, found = "no evaluation yet", shlex.quote(str(self.path))
+        best, found, run = "no evaluation yet", shlex.quote(str(self.path)), self.config.run
         if self.best.generation >= 0:
             best = f"best evaluation score {self.best.score:.2f} (generation {self.best.generation})"
-        parts = (
+        parts = [
             f"Done: {self.generation} generation{'s' * (self.generation != 1)}, {best}.",
             f"Next: shes evaluate {found} · shes render {found} · shes plot {found}",
-        )
+        ]
+        if not run.is_over(self.generation, self.env_steps):
+            parts[0] = f"Stopped: {self.generation} of {run.generations} generations, {best}."
+            parts.insert(1, f"Go on: shes resume {found}")
         return Listing({"run": str(self.path), "generation": self.generation, "best_score": self.best.score}, parts)
 
     def __fspath__(self) -> str:
@@ -73,7 +80,6 @@ class Run:
 
 
 def _columns(table: Path) -> dict[str, F64Array]:
-    """Return the columns of a table by name; none if it does not exist yet."""
     return {name: np.array(values) for name, values in read_csv(table).items()} if table.exists() else {}
 
 
@@ -106,23 +112,28 @@ def train(
         PolicyError: A policy returned NaN.
         DivergenceError: Every episode of ten generations in a row diverged.
     """
+    if isinstance(settings.get("seed"), list | tuple | range | np.ndarray):
+        raise ConfigError(
+            f"seed must be one number, got {settings['seed']!r}: a call trains one run. Call shes.train for each seed, "
+            "or use the command line: shes train ENV --seed 1 2 3"
+        )
     with with_display(listener, progress) as heard:
         return start_run(make_config(env, preset, settings), out, heard)
 
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
-    listeners = Listeners(listener)
+    listeners, place = Listeners(listener), None if out is None else checked_out(out)
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
     check_limits(config, algorithm.design)
     algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
-    if out is not None:
-        RunFolder(_path(out)).check_free()
+    if place is not None:
+        RunFolder(place).check_free()
     with _started(algorithm) as workers:  # nor does a cluster that does not answer leave a folder
-        folder = RunFolder.create(new_folder(config) if out is None else _path(out))
+        folder = RunFolder.create(place or new_folder(config))
         with folder.lock():
             checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
             for name in ("0", "best", "last"):
@@ -131,13 +142,6 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
             folder.record_start(config, origins)
             with resumable(folder.path), closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder:
                 return _go_on(recorder, state, workers)
-
-
-def _path(out: Path | str) -> Path:
-    """Return `out` as a path; raise ConfigError if it is not one."""
-    if not isinstance(out, str | os.PathLike) or not str(out):
-        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or omit it.")
-    return Path(out)
 
 
 def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | None = None, **settings: Any) -> Run:
@@ -154,10 +158,10 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
     """
     with with_display(listener, progress) as heard:
-        return resume_run(path, heard, **settings)
+        return _resume_run(path, heard, settings)
 
 
-def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) -> Run:
+def _resume_run(path: Path | str, listener: AnyListener, settings: dict[str, Any]) -> Run:
     """Continue the run at `path`; see `resume`."""
     listeners = Listeners(listener)
     folder = RunFolder.open(path)
@@ -179,22 +183,23 @@ def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) 
 
 def _check_unfinished(path: Path | str, config: TrainConfig, checkpoint: Checkpoint) -> None:
     """Raise ConfigError if the run is over."""
-    done, steps = checkpoint.generation, checkpoint.env_steps
-    if not config.run.is_over(done, steps):
+    done, steps, run = checkpoint.generation, checkpoint.env_steps, config.run
+    if not run.is_over(done, steps):
         return
-    is_long = done >= config.run.generations
-    made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
-    limit = "--generations" if is_long else "--env-steps"
+    made, what, flag, end = steps, "environment steps", "--env-steps", run.env_steps
+    if done >= run.generations:
+        made, what, flag, end = done, "generations", "--generations", run.generations
     raise ConfigError(
-        f"the run has made {made} {'generations' if is_long else 'environment steps'}, but {limit} is {end}. "
-        f"To go on: shes resume {shlex.quote(str(path))} {limit} {2 * made}"
+        f"the run has made {made} {what}, but {flag} is {end}. "
+        f"To go on: shes resume {shlex.quote(str(path))} {flag} {2 * made}"
     )
 
 
 def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
     """Train the run at `path` to its end: from its last checkpoint, or from the start if there is no run yet.
 
-    Execution settings of `config` may differ from those of the run so far; raise RunFolderError if others do.
+    Its minutes are those of all parts of the run. Execution settings of `config` may differ from those of the run so
+    far; raise RunFolderError if others do.
     """
     folder = RunFolder(path)
     if not folder.config.is_file():
@@ -205,45 +210,40 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
             f"{path} holds a run of other settings: {others}. Choose another folder with --out, or remove this one to "
             "have it made anew."
         )
-    last = folder.load("last")
-    if config.run.is_over(last.generation, last.env_steps):
-        return Run(path=path, config=stored, generation=last.generation, best=last.best)
+    last, left = folder.load("last"), config.run.minutes
+    if left is not None:
+        left -= trained_minutes(folder)
+    if config.run.is_over(last.generation, last.env_steps) or (left is not None and left <= 0):
+        return _run(folder, stored, last)
     now = {name: config.values[name] for name in resumable_settings()}
     changed = {name: value for name, value in now.items() if value != stored.values[name]}
-    return resume_run(path, listener, **{**changed, "minutes": config.run.minutes})
-
-
-def resumable_settings() -> dict[str, Setting]:
-    """Return the settings that `resume` takes, by name."""
-    return {name: each for name, each in execution_settings().items() if name != "preset"}
+    return _resume_run(path, listener, {**changed, "minutes": left})
 
 
 def check_resumable(names: Iterable[str]) -> None:
     """Raise ConfigError unless `resume` takes the settings called `names`."""
-    resumable, known = resumable_settings(), known_settings()
-    allowed = ", ".join(sorted(each.flag for each in resumable.values()))
+    allowed, known = resumable_settings(), known_settings()
+    takes = f"resume takes {', '.join(sorted(each.flag for each in allowed.values()))}."
     for name in names:
         if name not in known:
-            raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
-        if name not in resumable:
-            raise ConfigError(
-                f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
-                "Start another run to change it."
-            )
+            raise ConfigError(f"unknown setting {name!r}. {takes}")
+        if name not in allowed:
+            fix = "Start another run to change it."
+            raise ConfigError(f"{known[name].flag} would change the numbers of the run; {takes} {fix}")
 
 
 @contextmanager
-def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, Interruption]]:
+def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, _Interruption]]:
     """Yield the started backend of the run, with Ctrl-C and SIGTERM delayed."""
     config: TrainConfig = algorithm.problem.settings
     with (
-        Interruption() as interruption,
+        _Interruption() as interruption,
         build_backend(config, algorithm.plan(), most_episodes(config)) as backend,
     ):
         yield backend, interruption
 
 
-def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, Interruption], changes: Iterable[str] = ()) -> Run:
+def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, _Interruption], changes: Iterable[str] = ()) -> Run:
     """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C, which it raises.
 
     `changes` are those since the run began that may change numbers.
@@ -264,5 +264,54 @@ def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, Interruption]
             logger.info("generation %d ends", report.state.generation)
     if interruption.is_requested and not recorder.is_over():
         raise KeyboardInterrupt
-    last = recorder.checkpoint
-    return Run(path=folder.path, config=config, generation=last.generation, best=last.best)
+    return _run(folder, config, recorder.checkpoint)
+
+
+def _run(folder: RunFolder, config: TrainConfig, last: Checkpoint) -> Run:
+    reached = {"generation": last.generation, "env_steps": last.env_steps, "best": last.best}
+    return Run(path=folder.path, config=config, **reached)
+
+
+class _Interruption:
+    """A context that delays Ctrl-C and SIGTERM while files are written; the second signal ends the run at once."""
+
+    def __init__(self) -> None:
+        self.is_requested = False
+        self._may_raise = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> _Interruption:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: object) -> None:
+        is_second, self.is_requested = self.is_requested, True
+        if self._may_raise or is_second:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Raise KeyboardInterrupt at once for a signal inside this block, which writes no file."""
+        try:
+            self._may_raise = True
+            if self.is_requested:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._may_raise = False
+
+
+@contextmanager
+def resumable(path: Path | str) -> Iterator[None]:
+    """Add to a KeyboardInterrupt the note that the run, or the folder of runs, at `path` can be resumed."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"Stopped; all finished generations are kept. Go on: shes resume {shlex.quote(str(path))}")
+        raise

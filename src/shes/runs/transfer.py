@@ -10,13 +10,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.contract import Algorithm, LevelTransfer
-from shes.errors import CheckpointError, ConfigError
+from shes.errors import ConfigError
 from shes.runs.build import OpenedRun, build_task, open_run
-from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
+from shes.runs.config import RunSettings, TrainConfig, algorithm_of
 from shes.runs.named_algorithms import ALGORITHMS, algorithm_classes
-from shes.runs.repetitions import origin_of
-from shes.runs.run_settings import RunSettings, algorithm_of
 from shes.settings import flag
 
 
@@ -25,14 +22,10 @@ def transferred_levels() -> tuple[str, ...]:
     return tuple(dict.fromkeys(level for each in algorithm_classes() for level in each.transfers))
 
 
-def _read(level: str, own: LevelTransfer, path: str, checkpoint: str) -> tuple[OpenedRun, dict[str, Any]]:
-    """Return the run at `path`, whose `level` can be transferred, and the level's origin for the record."""
-    folder = RunFolder.open(path)
-    if not folder.checkpoint_path(checkpoint).is_file():
-        stems = (file.stem.removeprefix("generation_") for file in folder.checkpoints.glob("*.npz"))
-        there = ", ".join(str(int(stem)) if stem.isdecimal() else stem for stem in sorted(stems)) or "none"
-        raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {there}. Set --{level}-checkpoint.")
-    opened = open_run(path, checkpoint)
+def _read(level: str, own: LevelTransfer, values: Mapping[str, Any]) -> OpenedRun:
+    """Return the run from which a run with settings `values` takes its `level`; raise ConfigError if it cannot."""
+    path = values[level]
+    opened = open_run(path, values.get(f"{level}_checkpoint", "best"))
     source = opened.algorithm
     if level not in source.level_names:
         raise ConfigError(
@@ -45,29 +38,22 @@ def _read(level: str, own: LevelTransfer, path: str, checkpoint: str) -> tuple[O
             f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that "
             f"{' or '.join(names)} trained can be transferred. Name another run with --{level}."
         )
-    env, generation = opened.config.run.env, opened.state.generation
-    origin = {"run": path, "env": env, "checkpoint": checkpoint, "generation": generation}
-    return opened, {**origin, **origin_of(folder)}
+    return opened
 
 
-def brought_settings(
-    level: str, path: str, checkpoint: str, values: Mapping[str, Any], asked: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the settings that come with the primitive or the controller, `level`, of the run at `path`.
+def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that come with the primitive or the controller, `level`, of another run.
 
     `values` are the settings of the new run so far; those in `asked` were asked for, not taken from a preset.
-
-    Raises:
-        ConfigError: The run has no such level, or a setting was asked for with another value than the level's.
     """
     algorithm = algorithm_of(RunSettings.of(values))
     own = algorithm.transfers[level]
-    source = _read(level, own, path, checkpoint)[0].config
+    source = _read(level, own, values).config
     brought = own.settings(source, algorithm.level_names)
     for name in sorted(brought.keys() & asked.keys()):
         if asked[name] != brought[name]:
             raise ConfigError(
-                f"{name} is {asked[name]!r}, but the {level} of {path} was trained with {brought[name]!r}. "
+                f"{name} is {asked[name]!r}, but the {level} of {values[level]} was trained with {brought[name]!r}. "
                 f"Omit {flag(name)}: it comes with the {level}."
             )
     return brought | {name: source.values[name] for name in own.suggested if name not in asked}
@@ -78,7 +64,7 @@ def check_robot(config: TrainConfig) -> None:
     own, path = config.algorithm.transfers.get("primitive"), config.values.get("primitive")
     if own is None or path is None:
         return
-    source = _read("primitive", own, path, config.values["primitive_checkpoint"])[0].config
+    source = _read("primitive", own, config.values).config
     (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
     # External robots can only be compared by their observation specs; but they have no egocentric view.
     is_known = None not in (their_robot, our_robot) or own.is_egocentric(source)
@@ -110,7 +96,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
         path = config.values.get(level)
         if path is None:
             continue
-        source, origins[level] = _read(level, own, path, config.values.get(f"{level}_checkpoint", "best"))
+        source = _read(level, own, config.values)
         theirs, ours = own.interface(source.algorithm.problem), own.interface(algorithm.problem)
         if theirs != ours:
             raise ConfigError(
@@ -120,4 +106,11 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
                 f"{own.advice}"
             )
         state = own.move(source.state, state)
+        origins[level] = {
+            "run": path,
+            "env": source.config.run.env,
+            "checkpoint": config.values.get(f"{level}_checkpoint", "best"),
+            "generation": source.state.generation,
+            **source.folder.origin(),
+        }
     return state, origins

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from shes.errors import ConfigError, ShesError
+from shes.runs.comparison import differing_settings, repeated_settings, seeds_of
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
 from shes.runs.runs_folder import find_runs
 from shes.runs.shipped import shipped_name
 from shes.runs.tables import read_csv

@@ -13,14 +13,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from shes.agents.views import View
-from shes.checked import checked
 from shes.drawing.window import open_window
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.runs.build import open_run
 from shes.runs.evaluate import fresh_seeds
 from shes.runs.loaded_agent import Agent
-from shes.settings import Ge
+from shes.settings import Ge, checked
 from shes.types import F64Array
 
 _TRAIL_STEPS = 150

@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from shes.checked import checked
 from shes.errors import ConfigError, RunFolderError
+from shes.settings import checked
 from shes.storage import write_atomically
 from shes.viewing.curves import X_AXES, MeanCurve, Table, column_curve
 from shes.viewing.groups import Group, RunData, group_runs, read_runs

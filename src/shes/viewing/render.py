@@ -11,12 +11,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from shes.checked import checked
 from shes.drawing.make_drawer import make_drawer
 from shes.drawing.renderer import Drawer, Picture
 from shes.errors import ConfigError
 from shes.runs.folder import RunFolder
-from shes.settings import Ge, Le, Lt, out_of_range
+from shes.settings import Ge, Le, Lt, checked, out_of_range
 from shes.viewing.playback import Playback, PlayedStep
 from shes.viewing.video import FRAMES_PER_SECOND, captioned, check_video_path, write_video
 
@@ -70,7 +69,7 @@ def render(
         raise out_of_range("size", size, "an even number of pixels")
     shown = _shown(runs, checkpoints)
     for run, *_ in shown:
-        RunFolder.open(run, or_several=True)
+        RunFolder.open(run)
     playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     episode_seed = playbacks[0].seed_of(episode)
     with ExitStack() as stack:

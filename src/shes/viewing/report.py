@@ -16,15 +16,14 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from shes.checked import checked
 from shes.errors import ShesError
 from shes.rollout.episodes import PARTS
+from shes.runs.comparison import differing_settings
 from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.listings import run_state
 from shes.runs.make_config import make_config
-from shes.runs.repetitions import differing_settings
 from shes.runs.shipped import read_agent, shipped_name
-from shes.settings import Ge, Shown
+from shes.settings import Ge, Shown, checked
 from shes.storage import write_atomically
 from shes.types import F64Array
 from shes.viewing.curves import confidence_interval
