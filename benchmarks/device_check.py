@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from statistics import NormalDist
 
 import numpy as np
@@ -118,7 +119,9 @@ def sample(
     ]
     environment = find_environment(env)
     rollout = Rollout(design, lambda n: environment.make(n, plan.training, simulator), min(episodes, lanes), 1, horizon)
-    found = dict(rollout.run(iter(enumerate(tasks)), generation, learner.table.on(rollout.batch.xp)))
+    left = iter(enumerate(tasks))
+    table = learner.table.on(rollout.batch.xp)
+    found = dict(rollout.run(lambda room: list(islice(left, room)), generation, table))
     rollout.batch.check_buffers()
     return {name: np.array([measure(found[i]) for i in range(episodes)]) for name, measure in _MEASURES.items()}
 

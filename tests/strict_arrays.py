@@ -21,6 +21,7 @@ _METHODS = frozenset(
     {"all", "any", "argmax", "argmin", "argsort", "astype", "clip", "copy", "cumsum", "fill", "flatten", "max", "mean"}
     | {"min", "prod", "ravel", "repeat", "reshape", "squeeze", "std", "sum", "swapaxes", "take", "transpose", "view"}
 )
+_FREE = frozenset({"shape", "dtype", "ndim", "size", "nbytes"})  # known without waiting for the device
 _FEW = 4  # what may be unpacked: coordinates, kinds, a quaternion
 _SIZED_BY_DATA = frozenset({"argwhere", "flatnonzero", "nonzero", "unique", "extract", "compress"})
 
@@ -39,39 +40,17 @@ class DeviceArray(NDArrayOperatorsMixin):
         strict_xp.waits += 1
         return self._held.copy()
 
-    def item(self) -> Any:
-        """Return the only element as Python's number; a wait."""
-        return self.get().item()
-
     def tolist(self) -> Any:
         """Return lists of Python's numbers; a wait."""
         return self.get().tolist()
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        return self._held.shape
-
-    @property
-    def dtype(self) -> np.dtype:
-        return self._held.dtype
-
-    @property
-    def ndim(self) -> int:
-        return self._held.ndim
-
-    @property
-    def size(self) -> int:
-        return self._held.size
-
-    @property
-    def nbytes(self) -> int:
-        return self._held.nbytes
-
-    @property
     def T(self) -> "DeviceArray":  # noqa: N802 - NumPy's name
         return DeviceArray(self._held.T)
 
-    def __getattr__(self, name: str) -> Callable[..., Any]:
+    def __getattr__(self, name: str) -> Any:
+        if name in _FREE:
+            return getattr(self._held, name)
         if name not in _METHODS:
             raise AttributeError(f"a device array has no {name!r}")
         method = getattr(self._held, name)
@@ -108,9 +87,6 @@ class DeviceArray(NDArrayOperatorsMixin):
     def __imatmul__(self, other: Any) -> "DeviceArray":
         raise TypeError("`@=` of device arrays")
 
-    def __rmatmul__(self, other: Any) -> "DeviceArray":
-        raise TypeError(f"`@` of {type(other).__name__} and a device array")
-
     def __len__(self) -> int:
         return len(self._held)
 
@@ -133,9 +109,6 @@ class DeviceArray(NDArrayOperatorsMixin):
 
     def __float__(self) -> float:
         return float(self.get())
-
-    def __repr__(self) -> str:
-        return f"DeviceArray({self._held!r})"
 
 
 class _DeviceUfunc:

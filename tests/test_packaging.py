@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from shes.agents import goals, outputs, rewards
+from shes.agents import goals, rewards
 from shes.cli import program
 from shes.runs import export
 
@@ -36,7 +36,7 @@ def test_contributing_names_what_exists():
         assert "NAME" in path or "PACKAGE" in path or (ROOT / path).exists(), path
     for path in re.findall(r"`((?:algorithms|backends|cli|envs|hierarchy|training)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
-    registries = {**vars(goals), **vars(outputs), **vars(rewards), **vars(export), **vars(program)}
+    registries = {**vars(goals), **vars(rewards), **vars(export), **vars(program)}
     assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "LEARNERS", "PRINTS"}
 
 

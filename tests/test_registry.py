@@ -1,7 +1,6 @@
 import pytest
 
-from shes.agents.goals import GOAL_ENCODINGS
-from shes.agents.outputs import CONTROLLER_OUTPUTS
+from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.optimizers import OPTIMIZERS

@@ -63,5 +63,5 @@ class OwnView:
         """Return the actions [N, A] for `observation`; `policy` maps our inputs [N, I] to actions in our frame."""
         position, heading = self._reader.locate(observation, None)
         goal = self._reader.goal(observation, position, heading)
-        self._agent._control = lambda inputs, _: policy(inputs)
+        self._agent.levels[-1].act = lambda inputs, _: policy(inputs)
         return self._agent.act(observation, position, heading, goal=goal)

@@ -22,8 +22,7 @@ from shes.errors import ConfigError
 if TYPE_CHECKING:
     __version__: str
     from shes import es
-    from shes.agents.goals import register_goal_encoding
-    from shes.agents.outputs import register_controller_output
+    from shes.agents.goals import register_controller_output, register_goal_encoding
     from shes.agents.rewards import register_primitive_reward
     from shes.envs.named_environments import register_environment, register_external
     from shes.runs.evaluate import Evaluation, evaluate
@@ -42,8 +41,7 @@ __all__ = [
     "register_goal_encoding", "register_primitive_reward", "render", "report", "resume", "train",
 ]  # fmt: skip
 _HOMES = {
-    "agents.goals": ("register_goal_encoding",),
-    "agents.outputs": ("register_controller_output",),
+    "agents.goals": ("register_controller_output", "register_goal_encoding"),
     "agents.rewards": ("register_primitive_reward",),
     "envs.named_environments": ("register_environment", "register_external"),
     "runs.evaluate": ("Evaluation", "evaluate"),

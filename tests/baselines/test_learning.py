@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("jax")
 
 
-from shes.agents.mlp import RectifiedMLP
+from shes.agents.mlp import RectifiedMLP, normalise
 from shes.baselines.learner_settings import LearnerSettings
 from shes.baselines.learning import (
     LOSSES,
@@ -21,7 +21,6 @@ from shes.baselines.learning import (
 )
 from shes.baselines.levels import Level, flat
 from shes.baselines.replay import Replay
-from shes.es.statistics import normalise
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.baselines import reference

@@ -53,7 +53,7 @@ class Subject:
     def start(self, agent, place, member, scale=1.0):
         """Let the episodes of a member start in lane `place`."""
         for level, theta in enumerate(thetas_of(self.design, member, scale)):
-            agent.theta[level][place] = theta
+            agent.levels[level].theta[place] = theta
         agent.start(np.array([place]))
         if getattr(self.design, "num_recorded_goals", 0):
             agent.go_on(place, 0, RECORDED[member])
@@ -61,7 +61,7 @@ class Subject:
     def agent(self, members, episodes=EPISODES, scale=1.0, design=None):
         """Return an agent in whose lanes the episodes of these members start."""
         agent = (design or self.design).make(len(members), episodes)
-        agent.normalise_by(levels_of(self.design))
+        agent.centre_on(levels_of(self.design))
         for place, member in enumerate(members):
             self.start(agent, place, member, scale)
         return agent
@@ -117,25 +117,17 @@ def tumbling(name, rng):
 pytestmark = pytest.mark.parametrize("name", [*every_design(), *ANTS])
 
 
-def test_a_design_knows_its_levels(name):
-    design = subject(name).design
-    names = design.level_names
-    assert names in (("policy",), ("primitive",), ("controller", "primitive"))
-    assert design.dims == tuple(policy.num_params for policy in design.policies)
-    assert design.observation_sizes == tuple(policy.sizes[0] for policy in design.policies)
-    assert design.intrinsic_level == (None if names == ("policy",) else len(names) - 1)
-    assert design.decision_size == (design.policies[0].sizes[-1] if len(names) == 2 else 0)
-    agent = design.make(3, EPISODES)
-    assert [theta.shape for theta in agent.theta] == [(3, dim) for dim in design.dims]
-    assert (agent.goal is None) == (names == ("policy",))
-
-
 def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
     """With noise; in the second lane another member's episodes go on after three steps from where they were."""
     of, members, rng = subject(name), [0, 1], np.random.default_rng(4)
     of = replace(of, design=replace(of.design, control_limit=30.0))
+    names = of.design.level_names
+    assert names in (("policy",), ("primitive",), ("controller", "primitive"))
+    assert of.design.intrinsic_level == (None if names == ("policy",) else len(names) - 1)
     agent, plain = of.agent(members), [of.plain(member) for member in members for _ in range(EPISODES)]
-    agent.is_recording, paid = True, set()
+    paid = set()
+    for level in agent.levels:
+        level.is_recording = True
     for step in range(STEPS):
         if step == 3:
             of.start(agent, 1, 2)
@@ -165,7 +157,7 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
     assert agent.clock.tolist() == [STEPS, 2 * INTERVAL + STEPS - 3]
     assert len(paid) > 10 if of.design.intrinsic_level is not None else paid == {0.0}
     assert (sum(one.goals_reached for one in plain) > 0) == (of.design.intrinsic_level is not None)
-    for level, moments in enumerate(agent.moments):
+    for level, moments in enumerate(own.moments for own in agent.levels):
         for row, one in enumerate(plain):
             inputs = np.array(one.inputs[level])
             assert moments.count[row] == len(inputs)
@@ -205,16 +197,15 @@ def test_members_that_share_noise_act_as_without(name):
     levels = levels_of(of.design)
     shared = of.design.make(MEMBERS // 2, 2 * EPISODES, shares_noise=True)
     own = of.design.make(MEMBERS, EPISODES)
-    shared.centre_on(levels)
     for level, mean in enumerate(levels):
         for lane in range(MEMBERS // 2):
             noise = thetas_of(of.design, lane)[level]
-            shared.theta[level][lane] = noise
-            shared.scale[level][lane, :, 0] = np.repeat([sigma, -sigma], EPISODES)
+            shared.levels[level].theta[lane] = noise
+            shared.levels[level].scale[lane, :, 0] = np.repeat([sigma, -sigma], EPISODES)
             for side, sign in enumerate((1, -1)):
-                own.theta[level][2 * lane + side] = mean.theta + np.float32(sign * sigma) * noise
+                own.levels[level].theta[2 * lane + side] = mean.theta + np.float32(sign * sigma) * noise
     for agent in (shared, own):
-        agent.normalise_by(levels)
+        agent.centre_on(levels)
         agent.start(slice(None))
     for step in range(STEPS):
         seen = of.rows(step, range(MEMBERS))
@@ -242,7 +233,7 @@ def test_acting_writes_into_nothing_that_others_hold(name):
         array.flags.writeable = True
         array[:] = 99
     assert goal is None or np.array_equal(agent.goal, goal)
-    assert not any(moments.count.any() or moments.total.any() for moments in agent.moments)  # nobody asked
+    assert not any(level.moments.count.any() or level.moments.total.any() for level in agent.levels)  # nobody asked
 
 
 def test_controls_are_outputs_times_their_limit_after_a_journey(name):

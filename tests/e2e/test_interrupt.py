@@ -7,7 +7,7 @@ import time
 import pytest
 
 from shes.errors import ShesError
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.runs import recorder
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.tables import read_csv

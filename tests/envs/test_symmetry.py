@@ -13,8 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.agents.frames import Frames
-from shes.agents.goal_agent import GoalDesign
+from shes.agents.goal_agent import Frames, GoalDesign
 from shes.agents.goals import AngleEncoding
 from shes.agents.mlp import MLP
 from shes.agents.rewards import ProgressReward
@@ -230,8 +229,8 @@ def test_a_primitive_acts_in_images_of_its_group_as_in_the_world(states, kind, e
     agent, rng = design.make(1, len(images)), np.random.default_rng(6)
     theta = design.primitive.initial(rng, "glorot_normal") * 2
     statistics = ObservationStatistics.empty(28).merge(9, rng.normal(size=28), np.full(28, 20.0))
-    agent.normalise_by((LevelParameters.of(theta, statistics),))
-    agent.theta[0][0] = theta
+    agent.centre_on((LevelParameters.of(theta, statistics),))
+    agent.levels[0].theta[0] = theta
     agent.start(slice(None))
     goals, found = states[0][::4, :2] + rng.uniform(-4, 4, (3, 2)), []
     for step, (qpos, qvel) in enumerate(zip(*states, strict=True)):

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.es.statistics import ObservationStatistics, normalise
+from shes.agents.mlp import normalise
+from shes.es.statistics import ObservationStatistics
 
 
 def _merge(statistics, data):

@@ -15,7 +15,7 @@ from shes.evolution.columns import columns
 from shes.evolution.estimates import Population
 from shes.evolution.state import TrainState
 from shes.rollout.episodes import PARTS, Generation
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.folder import RunFolder

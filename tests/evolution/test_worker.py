@@ -12,7 +12,8 @@ from shes.rollout.episodes import EpisodeTask, Generation
 from shes.rollout.worker import RolloutWorker, lanes_that_fit
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from tests.rollout.designs import levels_of
+from tests.rollout.designs import both, levels_of
+from tests.rollout.fake_task import FakeEnvironment, make_seed
 
 SETTINGS = {"hidden": (4,), "controller_interval": 5, "noise_table_size": 5000, "horizon": 6, "evaluation_horizon": 9}
 
@@ -94,6 +95,24 @@ def test_environments_that_do_not_fit_are_closed_and_others_kept():
 def test_the_share_of_a_worker_changes_no_bit(share):
     worker = RolloutWorker(a_plan())
     assert returns_of(run(worker)) == returns_of(run(worker, share=share))
+
+
+def test_a_worker_that_got_less_asks_again_only_after_a_result():
+    """Not when one of a task's two episodes ends."""
+    asked, found = [], []
+
+    class Scarce(TaskList):
+        def take(self, most, least):
+            asked.append(len(found))
+            return super().take(1, 1)
+
+    worker = RolloutWorker(replace(a_plan(), env=FakeEnvironment(), design=both()))
+    worker.receive(generation_of(worker.plan))
+    seeds = (make_seed(terminates_after=2), make_seed(terminates_after=4))
+    tasks = [(number, replace(task, seeds=seeds)) for number, task in numbered_tasks(3)]
+    for result in worker.run(Scarce(tasks), share=3):
+        found.append(result)
+    assert asked == [0, 1, 2, 3]
 
 
 def test_no_more_tasks_are_taken_at_once_than_an_even_share():

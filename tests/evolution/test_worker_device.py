@@ -11,7 +11,7 @@ import pytest
 import shes.rollout.worker
 from shes.errors import ConfigError
 from shes.rollout.lockstep import Rollout
-from shes.rollout.worker import RolloutWorker, lanes_in_memory, simulator_factory
+from shes.rollout.worker import RolloutWorker, simulator_factory
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from tests.evolution.test_worker import a_plan, returns_of, run
@@ -37,7 +37,7 @@ def expected():
 @pytest.fixture
 def device(monkeypatch):
     """A device with room for `fits` policies at a time, `step` its step; it notes how many were tried."""
-    found = SimpleNamespace(fits=100, tried=[], free=None, checked=0, overflow=None, step=None)
+    found = SimpleNamespace(fits=100, tried=[], checked=0, overflow=None, step=None)
 
     class Limited(Rollout):
         def __init__(self, design, make_task, num_lanes, *others):
@@ -54,7 +54,7 @@ def device(monkeypatch):
         if found.overflow:
             raise found.overflow
 
-    memory = SimpleNamespace(free_bytes=lambda: found.free, release_memory=lambda: None)
+    memory = SimpleNamespace(release_memory=lambda: None)
     monkeypatch.setattr(shes.rollout.worker, "Rollout", Limited)
     monkeypatch.setattr(shes.rollout.worker, "WarpDevice", lambda _: memory)
     monkeypatch.setattr(shes.rollout.worker, "simulator_factory", lambda *_: CpuSimulator)
@@ -123,34 +123,17 @@ def test_other_errors_are_passed_on(device, name, error):
     assert len(device.tried) == 1
 
 
-def test_the_free_memory_of_a_card_says_how_many_run_at_a_time(device, expected, monkeypatch):
-    worker, measured = on_device(nconmax=9), []
+def test_training_and_evaluation_take_turns_if_only_one_fits(device, expected):
+    """What fits alone is not split, and there is no message."""
+    worker, failed = on_device(), []
+    assert play(worker) == (expected, [])
 
-    def measure(model, *arguments):
-        measured.append((model.nq, *arguments))
-        return 10_000
+    def step(num_lanes):
+        if not failed:
+            failed.append(num_lanes)
+            raise MemoryError("out of memory")
 
-    monkeypatch.setattr(shes.rollout.worker, "bytes_per_sim", measure)
-    device.free = 120_000
-    room = lanes_in_memory(device.free, 10_000, worker.plan.design, 2, worker.plan.horizon)
-    assert 1 < room < 5
-    assert play(worker)[0] == expected
-    assert device.tried == [-(-MEMBERS // -(-MEMBERS // room))]
-    device.free = 0  # taken by what was built: no reason to split further
-    assert play(worker)[0] == expected
-    play(worker, is_evaluation=True)
-    assert device.tried[1:] == [1]
-    assert measured == [(2, "cuda", 5, 9, None)]
-
-
-def test_parameters_episodes_and_noise_take_memory():
-    design = a_plan().design
-
-    def room(free=10**9, sim=50_000, episodes=2, horizon=100):
-        return lanes_in_memory(free, sim, design, episodes, horizon)
-
-    per_lane = 8 * sum(design.dims) + 2 * (50_000 + 8 * (2 * 100 + 2 * 20))
-    assert room() == pytest.approx(0.75 * 10**9 / per_lane, rel=0.01)
-    assert room(free=2 * 10**9) == pytest.approx(2 * room(), rel=0.01)
-    assert max(room(episodes=4), room(horizon=1000), room(sim=10**6)) < room()
-    assert room(free=0) == 1
+    device.step = step
+    assert play(worker, is_evaluation=True)[1] == []
+    assert play(worker) == (expected, [])
+    assert device.tried == [MEMBERS] * 4

@@ -1,5 +1,7 @@
 """Made-up tasks of a population, and made-up results of them."""
 
+from itertools import islice
+
 import numpy as np
 
 from shes.es.statistics import Moments
@@ -7,6 +9,12 @@ from shes.rollout.episodes import EpisodeResults, EpisodeTask, empty_outcomes
 
 SIZES = (2, 4)
 """Values that each level observes."""
+
+
+def taking(numbered):
+    """Return a function that takes up to so many of these tasks."""
+    left = iter(numbered)
+    return lambda room: list(islice(left, room))
 
 
 def make_task(member, seeds, **changes):

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from shes.agents.goals import GOAL_ENCODINGS
-from shes.agents.outputs import CONTROLLER_OUTPUTS
+from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 
 

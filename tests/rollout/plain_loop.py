@@ -42,21 +42,19 @@ def play(design, make_batch, task, generation, table, horizon):
     """
     rows, slots = generation.rows_per_lane, list(task.slots)
     batch, agent = make_batch(rows), design.make(1, rows, shares_noise=generation.members_per_lane > 1)
-    agent.normalise_by(generation.levels)
-    if agent.shares_noise:
-        agent.centre_on(generation.levels)
-    for level, mean in enumerate(generation.levels):
+    agent.centre_on(generation.levels)
+    for level, (own, mean) in enumerate(zip(agent.levels, generation.levels, strict=True)):
         noise = table.slice(task.noise_index[level], len(mean.theta))
         scales = [generation.sigma * signs[level] for signs in task.signs]
-        if agent.shares_noise:
-            agent.theta[level][0] = noise
-            agent.scale[level][0, :, 0] = np.repeat(np.array(scales, np.float32), rows // len(scales))
+        if generation.members_per_lane > 1:
+            own.theta[0] = noise
+            own.scale[0, :, 0] = np.repeat(np.array(scales, np.float32), rows // len(scales))
         else:
-            agent.theta[level][0] = mean.theta + np.float32(scales[0]) * noise
+            own.theta[0] = mean.theta + np.float32(scales[0]) * noise
+        own.is_recording = True
     start = None if task.start is None else task.start.state
     batch.reset(np.array(slots), list(task.seeds), [start] * len(slots) if start is not None else ())
     agent.start(slice(None))
-    agent.is_recording = True
     if task.start is not None:
         agent.go_on(0, task.start.steps, task.start.goals)
     interval = design.controller_interval
@@ -108,7 +106,7 @@ def _outcome(batch, agent, row, steps, intrinsic, horizon):
         "goals_reached": agent.goals_reached[row],
         "final_position": batch.position[row].tolist(),
         "moments": [(each.count[row], each.total[row].tobytes(), each.total_squares[row].tobytes())
-                    for each in agent.moments],
+                    for each in (level.moments for level in agent.levels)],
     }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from tests.rollout import designs
 def deciding(output, lanes=1, **options):
     """Return agents at the first step of their episodes whose controllers output `output`, whatever they see."""
     agent = designs.both(hidden=(), **options).make(lanes, 1)
-    agent.theta[0][:, -2:] = np.arctanh(output)
+    agent.levels[0].theta[:, -2:] = np.arctanh(output)
     agent.start(slice(None))
     return agent
 
@@ -52,18 +52,6 @@ def test_a_goal_where_the_robot_stands_pays_the_bonus():
     assert np.isfinite(agent.intrinsic_reward(np.array([[10.0, 5.0]]))).all()
 
 
-def test_a_goal_is_reached_once_and_the_next_one_again():
-    agent, counts = deciding((0.75, 0.0), is_minimum=False), []  # goals 3 m to the right
-    act(agent, (0, 0))
-    for x in (1.99, 2.01, 0.0, 3.0):  # just outside 1 m, inside, outside and inside again
-        agent.intrinsic_reward(np.array([[x, 0.0]]))
-        counts.append(agent.goals_reached.tolist())
-    for _ in range(designs.INTERVAL):
-        act(agent, (3, 0))
-    agent.intrinsic_reward(np.array([[6.0, 0.0]]))
-    assert [*counts, agent.goals_reached.tolist()] == [[0], [1], [1], [1], [2]]
-
-
 @pytest.mark.parametrize("change", ["mirror", "turn"])
 def test_an_equivariant_controller_follows_a_changed_world(change):
     """Normalisation included. The heading stays as it is, so a controller that sees it answers mirrored worlds only."""
@@ -83,8 +71,9 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
 
     def goals(observation, position):
         agent = design.make(1, len(observation))
-        agent.normalise_by(levels)
-        agent.theta[0][0], agent.theta[1][0] = (level.theta for level in levels)
+        agent.centre_on(levels)
+        for own, level in zip(agent.levels, levels, strict=True):
+            own.theta[0] = level.theta
         agent.start(slice(None))
         agent.act(observation, position, np.zeros(len(observation)))
         return agent.goal - position

@@ -18,6 +18,7 @@ from shes.rollout.worker import RolloutWorker, WorkerPlan
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
+from tests.rollout.made_up import taking
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator
 
@@ -74,7 +75,7 @@ def run(name, simulator, num_lanes, xp=np, episodes=3, **changed):
 
     shape = generation.rows_per_lane, HORIZON, generation.members_per_lane
     rollout = Rollout(learner.design, make_batch, num_lanes, *shape)
-    found = dict(rollout.run(iter(enumerate(draws.tasks)), generation, learner.table.on(xp)))
+    found = dict(rollout.run(taking(enumerate(draws.tasks)), generation, learner.table.on(xp)))
     return found, np.diff(waits)
 
 
@@ -127,7 +128,7 @@ def test_lanes_of_a_device_start_together():
             started.append(len(ids))
             super().reset(ids)
 
-    run("gather", Watched, 3, strict_xp)
+    run("falls that end", Watched, 3, strict_xp)
     assert started == [9, 9, 6]
 
 

@@ -3,7 +3,7 @@
 Tests compare these with the settings of the run. The serial backend is recorded; worker processes are not.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -90,24 +90,22 @@ class Record:
         return {seed for each in self.of(kind) for task in each.tasks for seed in task.seeds}
 
 
-def _noted(work: Iterable[Any], tasks: list[EpisodeTask]) -> Iterator[Any]:
-    """Yield `work`, and note its tasks as they are taken; None is no task."""
-    for numbered in work:
-        if numbered is not None:
-            tasks.append(numbered[1])
-        yield numbered
-
-
 @contextmanager
 def recording() -> Iterator[Record]:
     """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
     record, of_step = Record(), Exploration.of_step
 
     class RecordedRollout(Rollout):
-        def run(self, work: Iterable[Any], generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
+        def run(self, take: Any, generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
             own = RolledOut(rollout=self, generation=generation, table=table, tasks=[])
             record.rolled_out.append(own)
-            for number, results in super().run(_noted(work, own.tasks), generation, table):
+
+            def noted(room: int) -> Any:
+                taken = take(room)
+                own.tasks.extend(task for _, task in taken)
+                return taken
+
+            for number, results in super().run(noted, generation, table):
                 own.results.append(results)
                 yield number, results
 

@@ -15,7 +15,7 @@ from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.evolution.strategies import SHES
 from shes.machine import num_cores
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator

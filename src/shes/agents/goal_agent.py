@@ -8,15 +8,14 @@ Source: SHES paper II-A to II-D; `docs/learning.md` (egocentric views and symmet
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Final
 
 import numpy as np
 
 from shes.agents.agent import AgentBatch, AgentDesign
-from shes.agents.frames import Frames, turned_back
-from shes.agents.goals import GoalEncoding
+from shes.agents.goals import ControllerOutput, GoalEncoding
 from shes.agents.mlp import MLP
-from shes.agents.outputs import ControllerOutput
 from shes.agents.rewards import REACHED_M, PrimitiveReward
 from shes.agents.views import ColumnsView, View
 from shes.envs.bodies.symmetry import SymmetryGroup
@@ -41,10 +40,191 @@ class Controller:
     """The part of the observation that it sees."""
 
 
+class Frames:
+    """The frames of N robots, in which primitives observe and act, chosen from the symmetry group of the body.
+
+    When a goal is set, its frame is rotated and mirrored so that the goal lies as straight ahead as the symmetry
+    allows. A skill learned for one direction is thereby learned for all. Arrays belong to `xp`.
+
+    Source: `docs/learning.md`, "The body's symmetry".
+    """
+
+    def __init__(self, group: SymmetryGroup, num_robots: int, xp: ModuleType = np) -> None:
+        self._group, self._xp = group, xp
+        cosine, sine, mirror = (xp.asarray(table) for table in group.direction())
+        self._direction = xp.stack([cosine, sine, mirror])  # [3, T]
+        self._view_index, self._view_sign = xp.asarray(group.view_index), xp.asarray(group.view_sign)
+        self._control_index = xp.asarray(group.control_index)
+        self._control_sign = xp.asarray(group.control_sign.astype(np.float32))
+        size, num_controls = group.view_index.shape[1], group.control_index.shape[1]
+        self._own_direction: F64Array = xp.zeros((3, num_robots))
+        self._own_view: IntArray = xp.zeros((num_robots, size), dtype=np.int64)  # places in all robots' flat views
+        self._own_view_sign: F64Array = xp.zeros((num_robots, size))
+        self._own_control: IntArray = xp.zeros((num_robots, num_controls), dtype=np.int64)
+        self._own_control_sign: F32Array = xp.zeros((num_robots, num_controls), dtype=np.float32)
+        self._robots = xp.arange(num_robots)[:, None]
+        self.set(slice(None), xp.zeros(num_robots, dtype=np.int64))
+
+    def choose(self, robots: slice | IntArray, vector: F64Array) -> None:
+        """Choose the frames of `robots` for goals at `vector` [robots, 2] (ahead, left) in the robots' own frames."""
+        self.set(robots, self._group.choose(vector[:, 0], vector[:, 1]))
+
+    def set(self, robots: slice | IntArray, element: IntArray) -> None:
+        """Set the frames of `robots` to these elements of the group [robots]."""
+        number = self._robots[robots]
+        self._own_direction[:, robots] = self._direction[:, element]
+        self._own_view[robots] = self._view_index[element] + number * self._view_index.shape[1]
+        self._own_view_sign[robots] = self._view_sign[element]
+        self._own_control[robots] = self._control_index[element] + number * self._control_index.shape[1]
+        self._own_control_sign[robots] = self._control_sign[element]
+
+    def turned(self, vector: F64Array) -> F64Array:
+        """Return vectors [N, 2], given in the robots' own frames, in these frames."""
+        cosine, sine, mirror = self._own_direction
+        x, y = vector[:, 0], vector[:, 1]
+        return np.stack([cosine * x + sine * y, mirror * (cosine * y - sine * x)], axis=1)
+
+    def view(self, values: F64Array, out: F64Array) -> None:
+        """Write egocentric views [N, V], given in the robots' own frames, into `out` [N, V] in these frames."""
+        np.multiply(values.ravel()[self._own_view], self._own_view_sign, out=out)
+
+    def controls(self, control: F32Array) -> F32Array:
+        """Return controls [N, A], given in these frames, in the robots' own frames."""
+        return control.ravel()[self._own_control] * self._own_control_sign
+
+
+def turned_back(vector: F64Array, angle: F64Array) -> F64Array:
+    """Return `vector` [N, 2] rotated by minus `angle` [N]: from the world frame to the frame of a heading."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vector[:, 0], vector[:, 1]
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
+
+
+class GoalAgent(AgentBatch["GoalDesign"]):
+    """Agents that pursue goals, in P lanes of R episodes."""
+
+    def allocate(self) -> None:
+        """Allocate the goals and the inputs of the levels."""
+        design, rows, xp = self.design, self.num_rows, self.xp
+        self.goal = self._goal = xp.ones((rows, 2))
+        self._way: F64Array = xp.zeros((rows, 2))  # to the goals from `_origin`
+        self._origin: F64Array = xp.zeros((rows, 2))  # positions of the robots when their goals were set
+        self._start_distance: F64Array = xp.ones(rows)  # to the goal when it was set
+        self._distance: F64Array = xp.ones(rows)  # to the goal, before the step
+        self._has_reached: BoolArray = xp.zeros(rows, dtype=np.bool_)
+        self._recorded: F64Array = np.ones((self.num_lanes, design.num_recorded_goals, 2))
+        self._num_used: IntArray = np.zeros(self.num_lanes, dtype=np.int64)  # of the recorded goals
+        if design.controller is not None:
+            self._controller_view = design.controller.view.on(xp)
+            self._controller_inputs: F64Array = xp.zeros((rows, design.observation_sizes[0]))
+        self._view = design.primitive_view.on(xp)
+        self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
+        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))  # of the primitives
+        clock_start = design.goal_encoding.size
+        view_start = clock_start + design.clock_size
+        self._goal_features, self._clock_features, self._seen = (
+            self._inputs[:, part]
+            for part in (slice(clock_start), slice(clock_start, view_start), slice(view_start, None))
+        )
+        self._unturned = self._seen if self._frames is None else xp.zeros_like(self._seen)  # in the robots' own frames
+        self._zero_angle: F64Array = xp.zeros(rows)
+
+    def go_on(self, lane: int, steps: int, goals: F64Array) -> None:
+        """Let the episodes of `lane` pursue recorded `goals` [J, 2]; see `AgentBatch.go_on`."""
+        super().go_on(lane, steps, goals)
+        if self.design.num_recorded_goals:
+            self._recorded[lane], self._num_used[lane] = goals, 0
+
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
+        design, frames = self.design, self._frames
+        angle = self._view.write(observation, heading, self._unturned)
+        is_due = self.clock % design.controller_interval == 0
+        if is_due.any():
+            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
+            rows = self.rows(due)
+            if design.controller is not None:
+                new = position[rows] + self._decide(due, rows, observation[rows], heading[rows], decision_noise)
+            elif design.num_recorded_goals:
+                new = position[rows] + self._next_recorded(due)
+            else:
+                assert goal is not None, "only an environment that sets goals trains a primitive alone"
+                new = goal[rows]
+            self._set_goals(rows, new, position[rows])
+            if frames is not None:
+                frames.choose(rows, turned_back(self._way[rows], angle[rows]))
+        vector = self._goal - position
+        distance = _length(vector)
+        if self._view.is_egocentric:  # encodings receive the vector in the frame of the view, not of the world
+            vector, angle = turned_back(vector, angle), self._zero_angle
+        if frames is not None:
+            vector = frames.turned(vector)
+            frames.view(self._unturned, self._seen)
+        design.goal_encoding.encode(vector, distance, angle, self._goal_features)
+        if design.clock is not None:
+            design.clock.write(self.xp.asarray(self.clock), self._clock_features)
+        self.clock += 1
+        control = self.levels[-1].act(self._inputs, control_noise)
+        return control if frames is None else frames.controls(control)
+
+    def _decide(
+        self,
+        due: slice | IntArray,
+        rows: slice | IntArray,
+        observation: F64Array,
+        heading: F64Array,
+        noise: F32Array | None,
+    ) -> F64Array:
+        """Return the vectors [rows, 2] to the goals that the controllers of lanes `due` set for episodes `rows`."""
+        own = self.design.controller
+        assert own is not None
+        seen = self._controller_inputs[rows]
+        self._controller_view.write(observation, heading, seen)
+        output = self.levels[0].act(seen, noise, rows, due)
+        vector = own.output.vector(output.astype(np.float64), heading, own.goal_distance)
+        return _push_outward(vector) if own.has_minimum_goal_distance else vector
+
+    def _next_recorded(self, due: slice | IntArray) -> F64Array:
+        """Return the vectors [rows, 2] to the next recorded goal of lanes `due`, or to the last if none is left."""
+        lanes = np.arange(self.num_lanes)[due]
+        number = np.minimum(self._num_used[lanes], self.design.num_recorded_goals - 1)
+        self._num_used[lanes] += 1
+        return self.xp.asarray(np.repeat(self._recorded[lanes, number], self.rows_per_lane, axis=0))
+
+    def _set_goals(self, rows: slice | IntArray, goals: F64Array, position: F64Array) -> None:
+        """Set the goals of episodes `rows`, whose robots are at `position` [rows, 2]."""
+        way = goals - position  # not the controller's vector: this must round as the distance after a step does
+        self._goal[rows], self._origin[rows], self._way[rows] = goals, position, way
+        self._distance[rows] = _length(way)
+        self._start_distance[rows] = np.maximum(self._distance[rows], _MIN_START_M)
+        self._has_reached[rows] = False
+
+    def intrinsic_reward(self, position: F64Array) -> F64Array:
+        """Return the primitives' reward [N] for moving to `position` [N, 2], and count the goals reached."""
+        distance = _length(self._goal - position)
+        near = distance < REACHED_M
+        self.goals_reached += near & ~self._has_reached
+        self._has_reached |= near
+        reward = self.design.primitive_reward
+        start = self._distance if reward.starts_with_step else self._start_distance
+        self._distance = distance
+        return reward(distance, start, position - self._origin, self._way)
+
+
 @dataclass(frozen=True, kw_only=True)
 class GoalDesign(AgentDesign):
     """Design of an agent that reaches goals. The primitive observes goal features, clock and view, in this order."""
 
+    agent = GoalAgent
     primitive: MLP
     goal_encoding: GoalEncoding
     primitive_reward: PrimitiveReward
@@ -77,147 +257,6 @@ class GoalDesign(AgentDesign):
         """Return the outputs [K, decision_size] of the controller for goals in directions `angles` [K]."""
         assert self.controller is not None, "only a controller decides"
         return self.controller.output.of_direction(angles)
-
-    @property
-    def agent(self) -> type[GoalAgent]:
-        """The class of the agents."""
-        return GoalAgent
-
-
-class GoalAgent(AgentBatch[GoalDesign]):
-    """Agents that pursue goals, in P lanes of R episodes."""
-
-    def allocate(self) -> None:
-        """Allocate the goals and the inputs of the levels."""
-        design, rows, xp = self.design, self.num_rows, self.xp
-        self._controller = design.controller
-        self._goal: F64Array = xp.ones((rows, 2))
-        self._way: F64Array = xp.zeros((rows, 2))  # from where goals were set to the goals
-        self.goal_origin: F64Array = xp.zeros((rows, 2))
-        """Positions of the robots when their goals were set [N, 2]."""
-        self.goal_start_distance: F64Array = xp.ones(rows)
-        """Distance to the goal when it was set [N]."""
-        self._distance: F64Array = xp.ones(rows)  # to the goal, before the step
-        self._has_reached: BoolArray = xp.zeros(rows, dtype=np.bool_)
-        self._recorded: F64Array = np.ones((self.num_lanes, design.num_recorded_goals, 2))
-        self._num_used: IntArray = np.zeros(self.num_lanes, dtype=np.int64)  # of the recorded goals
-        if self._controller is not None:
-            self._controller_view = self._controller.view.on(xp)
-            self._controller_inputs: F64Array = xp.zeros((rows, design.observation_sizes[0]))
-        self._view = design.primitive_view.on(xp)
-        self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
-        size = design.observation_sizes[-1]
-        self._inputs: F64Array = xp.zeros((rows, size))  # of the primitives
-        clock_start = design.goal_encoding.size
-        view_start = clock_start + design.clock_size
-        self._goal_features, self._clock_features = (
-            self._inputs[:, :clock_start],
-            self._inputs[:, clock_start:view_start],
-        )
-        self._seen = self._inputs[:, view_start:]
-        self._unturned = self._seen if self._frames is None else xp.zeros_like(self._seen)  # in the robots' own frames
-        self._zero_angle: F64Array = xp.zeros(rows)
-
-    @property
-    def goal(self) -> F64Array:
-        """Current goals in the world frame [N, 2] in metres."""
-        return self._goal
-
-    def start(self, lanes: slice | IntArray) -> None:
-        """Start new episodes in `lanes`."""
-        super().start(lanes)
-        self._num_used[lanes] = 0
-
-    def go_on(self, lane: int, steps: int, goals: F64Array) -> None:
-        """Let the episodes of `lane` pursue recorded `goals` [J, 2]; see `AgentBatch.go_on`."""
-        super().go_on(lane, steps, goals)
-        if self.design.num_recorded_goals:
-            self._recorded[lane] = goals
-
-    def act(
-        self,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        *,
-        goal: F64Array | None = None,
-        decision_noise: F32Array | None = None,
-        control_noise: F32Array | None = None,
-    ) -> F32Array:
-        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
-        frames = self._frames
-        angle = self._view.write(observation, heading, self._unturned)
-        is_due = self.clock % self.design.controller_interval == 0
-        if is_due.any():
-            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
-            rows = self._rows(due)
-            if self._controller is not None:
-                new = position[rows] + self._decide(due, rows, observation[rows], heading[rows], decision_noise)
-            elif self.design.num_recorded_goals:
-                new = position[rows] + self._next_recorded(due)
-            else:
-                assert goal is not None, "only an environment that sets goals trains a primitive alone"
-                new = goal[rows]
-            self._set_goals(rows, new, position[rows])
-            if frames is not None:
-                frames.choose(rows, turned_back(self._way[rows], angle[rows]))
-        vector = self._goal - position
-        distance = _length(vector)
-        if self._view.is_egocentric:  # encodings receive the vector in the frame of the view, not of the world
-            vector, angle = turned_back(vector, angle), self._zero_angle
-        if frames is not None:
-            vector = frames.turned(vector)
-            frames.view(self._unturned, self._seen)
-        self.design.goal_encoding.encode(vector, distance, angle, self._goal_features)
-        self._write_clock(self._clock_features)
-        self.clock += 1
-        control = self._control(self._inputs, control_noise)
-        return control if frames is None else frames.controls(control)
-
-    def _decide(
-        self,
-        due: slice | IntArray,
-        rows: slice | IntArray,
-        observation: F64Array,
-        heading: F64Array,
-        noise: F32Array | None,
-    ) -> F64Array:
-        """Return the vectors [rows, 2] to the goals that the controllers of lanes `due` set for episodes `rows`."""
-        own = self._controller
-        assert own is not None
-        seen = self._controller_inputs[rows]
-        self._controller_view.write(observation, heading, seen)
-        output = self._outputs(0, seen, rows, due)
-        if noise is not None:
-            output += noise[due]
-        flat = output.reshape(len(seen), -1).astype(np.float64)
-        vector = own.output.vector(flat, heading, own.goal_distance)
-        return _push_outward(vector) if own.has_minimum_goal_distance else vector
-
-    def _next_recorded(self, due: slice | IntArray) -> F64Array:
-        """Return the vectors [rows, 2] to the next recorded goal of lanes `due`, or to the last if none is left."""
-        lanes = np.arange(self.num_lanes)[due]
-        number = np.minimum(self._num_used[lanes], self.design.num_recorded_goals - 1)
-        self._num_used[lanes] += 1
-        return self.xp.asarray(np.repeat(self._recorded[lanes, number], self.rows_per_lane, axis=0))
-
-    def _set_goals(self, rows: slice | IntArray, goals: F64Array, position: F64Array) -> None:
-        """Set the goals of episodes `rows`, whose robots are at `position` [rows, 2]."""
-        way = goals - position  # not the controller's vector: this must round as the distance after a step does
-        self._goal[rows], self.goal_origin[rows], self._way[rows] = goals, position, way
-        self._distance[rows] = _length(way)
-        self.goal_start_distance[rows] = np.maximum(self._distance[rows], _MIN_START_M)
-        self._has_reached[rows] = False
-
-    def intrinsic_reward(self, position: F64Array) -> F64Array:
-        """Return the primitives' reward [N] for moving to `position` [N, 2], and count the goals reached."""
-        distance = _length(self._goal - position)
-        near = distance < REACHED_M
-        self.goals_reached += near & ~self._has_reached
-        self._has_reached |= near
-        before, self._distance = self._distance, distance
-        moved = position - self.goal_origin
-        return self.design.primitive_reward.of_step(distance, before, self.goal_start_distance, moved, self._way)
 
 
 def _push_outward(vector: F64Array) -> F64Array:

@@ -1,24 +1,197 @@
-"""Goal encodings: the features of the goal that the primitive observes. Source: SHES paper II-C.
+"""Goals: how the outputs of a controller determine one, and the features of it that the primitive observes.
 
 A goal is a point in the world. Every step it is encoded relative to the robot's current position.
+
+Source: SHES paper II-C; `forward` and `onehot_forward` of the authors' code.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
+from shes.agents.views import sector_directions
 from shes.errors import ConfigError
 from shes.options import make, subclass_of
 from shes.registry import Registry
 from shes.types import F64Array
 
 DISTANCE_UNIT_M = 1000.0
-"""Distances are divided by this (paper II-C)."""
+"""Encoded distances are divided by this (paper II-C)."""
+NUM_DIRECTIONS = 8
+"""Number of directions of a one-hot output."""
+MIN_DISTANCE_M = 1.0
+"""Minimum goal distance of a one-hot output."""
+
+
+class ControllerOutput(ABC):
+    """Turns the outputs of the controller's network into the vector from the robot to its goal.
+
+    A subclass that is also a `shes.settings.Settings` dataclass has its fields as flags of `shes train`.
+    """
+
+    size: int
+    """Number of outputs of the network."""
+
+    @abstractmethod
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector from the robot to the goal, in the world frame [N, 2], in metres.
+
+        Args:
+            output: Outputs of the network [N, size] in [-1, 1]. Exploration noise may exceed that range slightly.
+            heading: Yaw of the robot [N] in radians.
+            goal_distance: Goal distance in metres for an output of 1.
+        """
+
+    def of_direction(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, size] for goals at the goal distance in directions `angles` [K] in radians.
+
+        Angles are counter-clockwise in the frame of the outputs: from the heading, or from the x axis. By default these
+        are (cos, sin) for two outputs. For other numbers one output is 1, the others are 0: the outputs stand for
+        directions at equal steps from 0. Override it for outputs that mean something else.
+        """
+        if self.size == 2:
+            return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.eye(self.size)[np.rint(angles * self.size / (2 * np.pi)).astype(int) % self.size]
+
+
+class VectorOutput(ControllerOutput):
+    """Vector to the goal in the world frame, in goal distances."""
+
+    size = 2
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return `output` times the goal distance."""
+        return output.astype(np.float64) * goal_distance
+
+
+class HeadingVectorOutput(ControllerOutput):
+    """Vector to the goal relative to the heading (ahead, left), in goal distances.
+
+    Deviation: the paper's controller outputs a vector in the world frame. If the task's observation is relative to the
+    heading, as in Gather, the network then has to learn the rotation first.
+    """
+
+    size = 2
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return `output` times the goal distance, rotated by the heading."""
+        ahead, left = (output[:, i].astype(np.float64) * goal_distance for i in range(2))
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
+
+
+class DirectionOutput(VectorOutput):
+    """Direction of the goal in the world frame, at the goal distance.
+
+    Only the ratio of the outputs counts, so that a policy near zero, as at the start of training, acts with full goals.
+
+    Deviation: the outputs of the paper's controller also set the distance.
+    """
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
+        return super().vector(_direction(output), heading, goal_distance)
+
+
+class HeadingDirectionOutput(HeadingVectorOutput):
+    """Direction of the goal relative to the heading (ahead, left), at the goal distance; see `DirectionOutput`."""
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
+        return super().vector(_direction(output), heading, goal_distance)
+
+
+def _direction(output: F64Array) -> F64Array:
+    """Return the outputs [N, 2] as vectors of length 1, or 0 for outputs of 0."""
+    values = output.astype(np.float64)
+    return values / np.maximum(np.sqrt((values * values).sum(axis=1, keepdims=True)), 1e-9)
+
+
+class OneHotOutput(ControllerOutput):
+    """The largest of eight outputs selects the direction relative to the heading, and its value the distance.
+
+    The directions are 45 degrees apart: output 0 is -135 degrees (behind to the right), output 3 straight ahead, output
+    5 left, output 7 straight behind. The first of equal outputs is selected. The distance is at least 1 m.
+
+    Source: `onehot_forward` of the authors' code (policy.jl); not in the paper.
+    Deviation: the authors add 1/8 to the angle in radians, which rotates every goal 7 degrees to the left, so that none
+    is straight ahead. This offset is omitted.
+
+    Deviation: in Gather the authors use the angles of its ten sensors, 36 degrees apart, with eight outputs, so that no
+    goal lies within the 108 degrees behind to the left. Here all tasks have the same eight directions.
+    """
+
+    size = NUM_DIRECTIONS
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector in the direction of the largest output."""
+        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_DIRECTIONS) - np.pi
+        angle += heading
+        distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
+        return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+
+    def of_direction(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, 8] that select the nearest of the eight directions."""
+        return super().of_direction(angles + np.pi - 2 * np.pi / NUM_DIRECTIONS)
+
+
+class SectorOutput(ControllerOutput):
+    """Sum of the outputs of the sectors around the robot, each a vector along its sector's middle.
+
+    The sum is what the `of_sum` output takes as (ahead, left), so turned outputs turn the goal. Equal outputs cancel.
+    """
+
+    def __init__(self, num_sectors: int, of_sum: ControllerOutput) -> None:
+        """Sum up `num_sectors` outputs, counter-clockwise from straight behind."""
+        self.size = num_sectors
+        self._of_sum = of_sum
+        self._along: F64Array = np.stack(sector_directions(num_sectors)) * (2 / num_sectors)
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector to the goal for the sum of the sectors' vectors."""
+        # Not a matmul: on a device the constants would have to be transferred, and its rounding depends on the rows.
+        ahead, left = (
+            sum(output[:, sector] * float(part) for sector, part in enumerate(along)) for along in self._along
+        )
+        return self._of_sum.vector(np.stack([ahead, left], axis=1), heading, goal_distance)
+
+    def of_direction(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, S] whose vectors add up to the directions `angles` [K]: their components."""
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self._along * (self.size / 2)
+
+
+CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
+    "controller output",
+    {
+        "vector": VectorOutput,
+        "direction": DirectionOutput,
+        "heading_vector": HeadingVectorOutput,
+        "heading_direction": HeadingDirectionOutput,
+        "one_hot": OneHotOutput,
+    },
+    fix="Set --controller-output. Register your own first: shes.register_controller_output, or --import MODULE.",
+    check=subclass_of(ControllerOutput),
+)
+"""Controller outputs by name: the choices of `--controller-output`."""
+register_controller_output = CONTROLLER_OUTPUTS.register
+"""Registers a class under a name in this process, for `shes.train(..., controller_output=name)`."""
+
+
+def make_controller_output(name: str, values: Mapping[str, Any]) -> ControllerOutput:
+    """Return the output called `name`, with options from `values`; raise ConfigError unless its result is [N, 2]."""
+    output = make(CONTROLLER_OUTPUTS, name, values)
+    # Three episodes instead of two, so that a transposed result [2, N] is detected.
+    shape = np.shape(output.vector(np.ones((3, output.size)), np.zeros(3), 1.0))
+    if shape != (3, 2):
+        raise ConfigError(
+            f"controller output {name!r} must return an array [N, 2], the vector from the robot to the goal in each of "
+            f"N episodes; for 3 episodes it returned shape {shape}, not (3, 2)."
+        )
+    return output
 
 
 class GoalEncoding(ABC):
@@ -46,26 +219,26 @@ class AngleEncoding(GoalEncoding):
     """Sine and cosine of the goal's bearing relative to the heading, and the distance over 1000."""
 
     size = 3
+    distance_unit_m: ClassVar[float] = DISTANCE_UNIT_M
+    """Distances are divided by this."""
 
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
         """Write sin, cos, distance / 1000."""
-        _write_bearing(vector, heading, out)
-        np.divide(distance, DISTANCE_UNIT_M, out=out[:, 2])
+        angle = np.arctan2(vector[:, 1], vector[:, 0])
+        angle -= heading
+        np.sin(angle, out=out[:, 0])
+        np.cos(angle, out=out[:, 1])
+        np.divide(distance, self.distance_unit_m, out=out[:, 2])
 
 
-class MetreAngleEncoding(GoalEncoding):
+class MetreAngleEncoding(AngleEncoding):
     """Sine and cosine of the goal's bearing relative to the heading, and the distance in metres.
 
     Deviation: the distance is not divided by 1000 (paper II-C). Normalisation divides inputs by at least 0.1, so a goal
     at 5.7 m, the maximum in Table I, would have a feature below 0.06. In metres it is as large as other inputs.
     """
 
-    size = 3
-
-    def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
-        """Write sin, cos, distance."""
-        _write_bearing(vector, heading, out)
-        out[:, 2] = distance
+    distance_unit_m = 1.0
 
 
 class UnitVectorEncoding(GoalEncoding):
@@ -99,14 +272,6 @@ class VectorEncoding(GoalEncoding):
         out[:] = vector
 
 
-def _write_bearing(vector: F64Array, heading: F64Array, out: F64Array) -> None:
-    """Write sine and cosine of the bearing of `vector` [N, 2] relative to `heading` [N] into the first columns."""
-    angle = np.arctan2(vector[:, 1], vector[:, 0])
-    angle -= heading
-    np.sin(angle, out=out[:, 0])
-    np.cos(angle, out=out[:, 1])
-
-
 GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
     "goal encoding",
     {
@@ -119,18 +284,11 @@ GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
     check=subclass_of(GoalEncoding),
 )
 """Goal encodings by name: the choices of `--goal-encoding`."""
+register_goal_encoding = GOAL_ENCODINGS.register
+"""Registers a class under a name in this process, for `shes.train(..., goal_encoding=name)`."""
 
 
-def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
-    """Register `encoding` as `name` in this process, for `shes.train(..., goal_encoding=name)`.
-
-    Raises:
-        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
-    """
-    GOAL_ENCODINGS.register(name, encoding)
-
-
-def make_goal_encoding(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> GoalEncoding:
+def make_goal_encoding(name: str, values: Mapping[str, Any]) -> GoalEncoding:
     """Return the encoding called `name`, with options from `values`; raise ConfigError if it leaves a feature out."""
     encoding = make(GOAL_ENCODINGS, name, values)
     features = np.full((2, encoding.size), np.nan)

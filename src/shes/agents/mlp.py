@@ -1,4 +1,7 @@
-"""Multilayer perceptron over flat parameter vectors, for many policies at once.
+"""Multilayer perceptrons over flat parameter vectors, and the policies of a level: many networks at once.
+
+A level has N = P * R rows: P lanes of R episodes. The episodes of a lane share one set of parameters, or belong to
+several members that perturb the mean by the same noise.
 
 Source: the SHES authors' code: tanh after every layer, including the output.
 In a stacked matmul, the results of a policy are bit-identical whatever other policies are stacked with it, as long as
@@ -9,12 +12,14 @@ from __future__ import annotations
 
 from itertools import pairwise
 from types import ModuleType
-from typing import Annotated, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 
+from shes.es.level import LevelParameters
+from shes.es.statistics import CLIP, Moments
 from shes.settings import Example, Ge, checked
-from shes.types import F32Array, F64Array
+from shes.types import F32Array, F64Array, FloatArray, IntArray
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
 """`glorot_normal` as in the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
@@ -30,6 +35,15 @@ Rows: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
 broadcasting them in NumPy would be several times slower."""
 
 _CACHE_LINE = 64  # bytes
+
+
+def normalise(observation: FloatArray, mean: F64Array, inverse_std: F64Array, clip: float = CLIP) -> F32Array:
+    """Return `(observation - mean) * inverse_std` [..., O], clipped to [-clip, clip], as float32."""
+    scaled = observation - mean
+    scaled *= inverse_std
+    np.maximum(scaled, -clip, out=scaled)  # two ufuncs are faster than np.clip
+    np.minimum(scaled, clip, out=scaled)
+    return scaled.astype(np.float32)
 
 
 def aligned_rows(rows: int, columns: int) -> F32Array:
@@ -79,13 +93,11 @@ class MLP:
 
     def layers(self, weights: F32Array) -> Layers:
         """Return the layers of policies with `weights` [P, W], as `expand` returns them, as views."""
-        policies, start = weights.shape[0], 0
-        found: list[tuple[F32Array, F32Array]] = []
+        found, start = list[tuple[F32Array, F32Array]](), 0
         for fan_in, fan_out in pairwise(self.sizes):
             end = start + fan_in * fan_out
-            found.append(
-                (weights[:, start:end].reshape(policies, fan_in, fan_out), weights[:, None, end : end + fan_out])
-            )
+            own = weights[:, start:end].reshape(len(weights), fan_in, fan_out)
+            found.append((own, weights[:, None, end : end + fan_out]))
             start = end + fan_out
         return tuple(found)
 
@@ -141,3 +153,109 @@ class RectifiedMLP(MLP):
     def activate(layer: F32Array) -> None:
         """Replace negative values of `layer` by 0, in place."""
         np.maximum(layer, 0, out=layer)
+
+
+class LevelPolicies:
+    """The policies of one level in P lanes of R rows, with their normalisation and the moments of what they see.
+
+    Arrays belong to `xp`. With `shares_noise`, the parameters of a row are the mean's plus its `scale` times the lane's
+    `theta`. Without, `theta` holds the parameters for all rows of the lane.
+    """
+
+    def __init__(
+        self,
+        network: MLP,
+        num_lanes: int,
+        rows_per_lane: int,
+        xp: ModuleType = np,
+        *,
+        clip: float,
+        limit: float,
+        shares_noise: bool,
+    ) -> None:
+        """Allocate the arrays. Normalised inputs are clipped to [-clip, clip], outputs are multiplied by `limit`."""
+
+        def zeros(size: int) -> F32Array:
+            return xp.zeros((num_lanes, rows_per_lane, size), np.float32)
+
+        self._network, self._xp, self._rows_per_lane = network, xp, rows_per_lane
+        self._clip, self._limit = clip, np.float32(limit)
+        self.theta = self._zero_parameters(num_lanes, network.num_params)
+        """Parameters, or noise [P, D]. Write those of a lane before `start`, which expands them."""
+        self.scale: F32Array = zeros(1)
+        """Factor of the lane's noise in the parameters of each row [P, R, 1]."""
+        self._weights = self._zero_parameters(num_lanes, network.num_weights) if network.is_tied else self.theta
+        self._layers = network.layers(self._weights)
+        self._mean = self._zero_parameters(1, network.num_weights)
+        self._mean_layers = network.layers(self._mean)
+        self._rows: Rows | None = None
+        if shares_noise:
+            self._rows = tuple((zeros(size), zeros(size)) for size in network.sizes[1:])
+        self._normalisation: tuple[Any, Any] = (0.0, 1.0)
+        self.moments = Moments.zeros(num_lanes * rows_per_lane, network.sizes[0], xp)
+        self.is_recording = False
+        """Whether inputs are summed into `moments`."""
+
+    def centre_on(self, level: LevelParameters) -> None:
+        """Normalise inputs as `level` does, and set the mean to which shared noise is added to its parameters."""
+        xp = self._xp
+        self._normalisation = xp.asarray(level.mean), xp.asarray(level.inverse_std)
+        if self._rows is not None:
+            self._mean[:] = self._network.expand(xp.asarray(level.theta)[None], xp)
+            self._mean_layers = self._contiguous(self._mean)
+
+    def start(self, lanes: slice | IntArray, rows: slice | IntArray) -> None:
+        """Take over the parameters of `lanes`, and clear the moments of their `rows`."""
+        self.moments.clear(rows)
+        if self._network.is_tied:
+            self._weights[lanes] = self._network.expand(self.theta[lanes], self._xp)
+        if self._xp is not np:
+            self._layers = self._contiguous(self._weights)
+        layers = zip(self._rows or (), self._mean_layers, self._layers, strict=False)
+        for (scales, biases), (_, mean), (_, noise) in layers:
+            scales[lanes] = self.scale[lanes]
+            biases[lanes] = self.scale[lanes] * noise[lanes] + mean
+
+    def act(
+        self,
+        inputs: F64Array,
+        noise: F32Array | None = None,
+        rows: slice | IntArray = slice(None),
+        lanes: slice | IntArray = slice(None),
+    ) -> F32Array:
+        """Return the outputs [rows, A] for the `inputs` [rows, O] of `lanes`, plus `noise` [P, R, A]."""
+        if self.is_recording:
+            self.moments.add(rows, inputs)
+        scaled = normalise(inputs, *self._normalisation, self._clip)
+        output = self._forward(scaled.reshape(-1, self._rows_per_lane, scaled.shape[1]), lanes)
+        output *= self._limit
+        if noise is not None:
+            output += noise[lanes]
+        return output.reshape(len(inputs), -1)
+
+    def is_finite(self, lane: int) -> bool:
+        """Return whether all parameters of a lane are finite."""
+        own = self._weights[lane] if self._rows is None else self._weights[lane] + self._mean[0]
+        return bool(np.isfinite(own).all())
+
+    def _forward(self, observation: F32Array, lanes: slice | IntArray) -> F32Array:
+        """Return the outputs of the policies in `lanes` for normalised `observation` [lanes, R, O]."""
+        layers, rows = self._layers, self._rows
+        if not isinstance(lanes, slice):
+            # Each row on a cache line, as in theta: the place of a policy must not change its rounding.
+            own = np.take(self._weights, lanes, axis=0, out=aligned_rows(len(lanes), self._weights.shape[1]))
+            layers = self._network.layers(own)
+            rows = rows and tuple((scales[lanes], biases[lanes]) for scales, biases in rows)
+        if rows is None:
+            return self._network.forward(layers, observation)
+        return self._network.forward_around(self._mean_layers, layers, rows, observation)
+
+    def _zero_parameters(self, rows: int, size: int) -> F32Array:
+        return aligned_rows(rows, size) if self._xp is np else self._xp.zeros((rows, size), np.float32)
+
+    def _contiguous(self, own: F32Array) -> Layers:
+        """Return the layers of weights [P, W]: on a GPU as contiguous copies, else it would copy them in every step."""
+        layers = self._network.layers(own)
+        if self._xp is np:
+            return layers
+        return tuple((self._xp.ascontiguousarray(weights), biases) for weights, biases in layers)

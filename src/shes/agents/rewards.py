@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,6 +25,9 @@ class PrimitiveReward(ABC):
     A subclass that is also a `shes.settings.Settings` dataclass has its fields as flags of `shes train`.
     """
 
+    starts_with_step: ClassVar[bool] = False
+    """Whether `start_distance` is the distance before the step, instead of that when the goal was set."""
+
     @abstractmethod
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
@@ -34,16 +36,10 @@ class PrimitiveReward(ABC):
 
         Args:
             distance: From the robot to the goal after the step [N], in metres.
-            start_distance: From the robot to the goal when the goal was set [N], in metres.
+            start_distance: From the robot to the goal when the goal was set [N], in metres; see `starts_with_step`.
             displacement: Movement of the robot since the goal was set [N, 2], in metres.
             goal: Goal relative to the robot's position when it was set [N, 2], in metres.
         """
-
-    def of_step(
-        self, distance: F64Array, before: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
-        """Return the reward [N] of a step that began `before` metres [N] from the goal; see `__call__`."""
-        return self(distance, start_distance, displacement, goal)
 
 
 class ProgressReward(PrimitiveReward):
@@ -65,17 +61,13 @@ class MetresReward(PrimitiveReward):
     Deviation: the paper's equation 1 rewards the covered fraction of the distance in every step.
     """
 
+    starts_with_step = True
+
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
         """Return the reward [N] of a step that began at `start_distance`."""
         return METRE_REWARD * (start_distance - distance) + NEAR_REWARD * (distance < REACHED_M).astype(np.float64)
-
-    def of_step(
-        self, distance: F64Array, before: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
-        """Return the reward [N] of the step."""
-        return self(distance, before, displacement, goal)
 
 
 class NegativeDistanceReward(PrimitiveReward):
@@ -131,18 +123,11 @@ PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
     check=subclass_of(PrimitiveReward),
 )
 """Primitive rewards by name: the choices of `--primitive-reward`."""
+register_primitive_reward = PRIMITIVE_REWARDS.register
+"""Registers a class under a name in this process, for `shes.train(..., primitive_reward=name)`."""
 
 
-def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
-    """Register `reward` as `name` in this process, for `shes.train(..., primitive_reward=name)`.
-
-    Raises:
-        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
-    """
-    PRIMITIVE_REWARDS.register(name, reward)
-
-
-def make_primitive_reward(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> PrimitiveReward:
+def make_primitive_reward(name: str, values: Mapping[str, Any]) -> PrimitiveReward:
     """Return the reward called `name`, with options from `values`; raise ConfigError unless its result is [N]."""
     reward = make(PRIMITIVE_REWARDS, name, values)
     shape = np.shape(reward(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))

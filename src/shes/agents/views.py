@@ -1,4 +1,4 @@
-"""Views: the part of an environment's observation that a level sees, and the choices of a run's settings among them.
+"""What a level sees: a view, which is a part of the environment's observation, and a clock; a run's choices of views.
 
 Source: SHES paper II-D (a transferred primitive sees the robot's own coordinates); `docs/learning.md` (egocentric
 views).
@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -21,6 +23,28 @@ from shes.types import F64Array, IntArray
 
 SECTORS_SCALE = {"position": 8.0, "velocity": 1.0}
 """Length in metres, and speed in metres per second, that read 1 in `SectorsView`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """Sine and cosine of the time since the start of the episode, at one frequency: a network has no rhythm of its own.
+
+    Source: Siekmann et al. 2021, section III (sine and cosine of a gait's phase as inputs).
+    """
+
+    size: ClassVar[int] = 2
+    """Number of features."""
+    frequency_hz: float
+    """Frequency in simulated time."""
+    step_s: float
+    """Simulated time of a control step in seconds."""
+
+    def write(self, steps: IntArray, out: F64Array) -> None:
+        """Write sine and cosine into `out` [P * R, 2], for lanes `steps` [P] control steps after their start."""
+        phase = (2 * np.pi * self.frequency_hz * self.step_s) * steps[:, None]
+        features = out.reshape(len(steps), -1, self.size)  # a view
+        np.sin(phase, out=features[..., 0])  # broadcast over the episodes of a lane, which started together
+        np.cos(phase, out=features[..., 1])
 
 
 class View(ABC):
@@ -48,18 +72,21 @@ class View(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Return the view as JSON types, for an exported agent."""
 
-    def on(self, xp: ModuleType) -> View:
-        """Return this view for arrays of `xp`."""
-        return self
+    def on(self, xp: ModuleType) -> Self:
+        """Return this view with its arrays as those of `xp`."""
+        view = copy(self)
+        arrays = {name: xp.asarray(each) for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+        vars(view).update(arrays)
+        return view
 
 
 class ColumnsView(View):
     """Some or all of the observed values, in any order."""
 
-    def __init__(self, indices: Sequence[int] | None = None, xp: ModuleType = np) -> None:
+    def __init__(self, indices: Sequence[int] | None = None) -> None:
         """Select the values at `indices`, or all values if None."""
         self.indices = None if indices is None else tuple(int(index) for index in indices)
-        self._columns = slice(None) if self.indices is None else _columns(self.indices, xp)
+        self._columns = slice(None) if self.indices is None else _columns(self.indices)
 
     def size(self, observation_size: int) -> int:
         """Return the number of selected values."""
@@ -72,15 +99,12 @@ class ColumnsView(View):
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the selected values."""
-        return tuple(observation_names[i] for i in self.indices or range(len(observation_names)))
+        indices = range(len(observation_names)) if self.indices is None else self.indices
+        return tuple(observation_names[i] for i in indices)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the indices; None stands for all values."""
         return {"kind": "columns", "columns": None if self.indices is None else list(self.indices)}
-
-    def on(self, xp: ModuleType) -> ColumnsView:
-        """Return this view for arrays of `xp`."""
-        return ColumnsView(self.indices, xp)
 
 
 class EgocentricView(View):
@@ -92,51 +116,37 @@ class EgocentricView(View):
 
     is_egocentric = True
 
-    def __init__(
-        self, body: Body, proprioception: Sequence[int], others: Sequence[int] = (), xp: ModuleType = np
-    ) -> None:
+    def __init__(self, body: Body, proprioception: Sequence[int], others: Sequence[int] = ()) -> None:
         """See the state of `body`, whose qpos and qvel are at `proprioception`, then the values at `others`."""
-        self.body = body
-        self._places = tuple(int(index) for index in proprioception), tuple(int(index) for index in others)
-        robot = self._places[0]
-        self._qpos, self._qvel, self._others = (
-            _columns(indices, xp) for indices in (robot[: body.num_qpos], robot[body.num_qpos :], self._places[1])
-        )
-        self._own = len(body.egocentric)
+        self.body, self._own = body, len(body.egocentric)
+        self._places = [
+            [int(index) for index in part]
+            for part in (proprioception[: body.num_qpos], proprioception[body.num_qpos :], others)
+        ]
+        self._qpos, self._qvel, self._others = (_columns(part) for part in self._places)
 
     def size(self, observation_size: int) -> int:
         """Return the number of the robot's own values and of the others."""
-        return self._own + len(self._places[1])
+        return self._own + len(self._places[2])
 
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Compute the robot's own values and copy the others; return the angle of its own frame. See `View.write`."""
         qpos = observation[:, self._qpos]
         angle = self.body.frame_angle(qpos)
         self.body.write_egocentric(qpos, observation[:, self._qvel], angle, out[:, : self._own])
-        if self._places[1]:
+        if self._places[2]:
             out[:, self._own :] = observation[:, self._others]
         return angle
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the robot's own values, then of the others."""
         own = (f"egocentric {element.name}" for element in self.body.egocentric)
-        return (*own, *(observation_names[i] for i in self._places[1]))
+        return (*own, *(observation_names[i] for i in self._places[2]))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the name of the body, and the indices of its qpos and qvel and of the other values."""
-        robot, others = self._places
-        qpos, qvel = robot[: self.body.num_qpos], robot[self.body.num_qpos :]
-        return {
-            "kind": "egocentric",
-            "body": self.body.name,
-            "qpos": list(qpos),
-            "qvel": list(qvel),
-            "columns": list(others),
-        }
-
-    def on(self, xp: ModuleType) -> EgocentricView:
-        """Return this view for arrays of `xp`."""
-        return EgocentricView(self.body, *self._places, xp)
+        qpos, qvel, others = self._places
+        return {"kind": "egocentric", "body": self.body.name, "qpos": qpos, "qvel": qvel, "columns": others}
 
 
 def sector_directions(num_sectors: int) -> tuple[F64Array, F64Array]:
@@ -157,9 +167,7 @@ class SectorsView(View):
     Source: `docs/learning.md`, "Equivariant controllers".
     """
 
-    def __init__(
-        self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]], xp: ModuleType = np
-    ) -> None:
+    def __init__(self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]]) -> None:
         """See the sensors at `rings` [ring, sector], and the vectors whose x and y are at these places, by name."""
         self.rings = tuple(tuple(ring) for ring in rings)
         self.vectors = {name: (int(x), int(y)) for name, (x, y) in vectors.items()}
@@ -167,8 +175,8 @@ class SectorsView(View):
         """Number of sectors, S. The first begins straight behind the robot, the others follow counter-clockwise."""
         self.num_channels = 2 * len(self.rings) + 1 + len(self.vectors)
         """Number of values per sector, C."""
-        self._columns = _columns(tuple(index for ring in self.rings for index in ring), xp)
-        self._ahead, self._left = (xp.asarray(part) for part in sector_directions(self.num_sectors))
+        self._columns = _columns([index for ring in self.rings for index in ring])
+        self._ahead, self._left = sector_directions(self.num_sectors)
 
     def size(self, observation_size: int) -> int:
         """Return the number of channels times the number of sectors."""
@@ -203,16 +211,12 @@ class SectorsView(View):
         vectors = [[*columns, SECTORS_SCALE[name]] for name, columns in self.vectors.items()]
         return {"kind": "sectors", "rings": [list(ring) for ring in self.rings], "columns": [], "vectors": vectors}
 
-    def on(self, xp: ModuleType) -> SectorsView:
-        """Return this view for arrays of `xp`."""
-        return SectorsView(self.rings, self.vectors, xp)
 
-
-def _columns(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:
+def _columns(indices: Sequence[int]) -> slice | IntArray:
     """Return the index of columns `indices`. Neighbours become a slice, which is faster."""
-    if indices and indices == tuple(range(indices[0], indices[0] + len(indices))):
+    if indices and list(indices) == list(range(indices[0], indices[0] + len(indices))):
         return slice(indices[0], indices[0] + len(indices))
-    return xp.asarray(np.array(indices, dtype=np.int64))
+    return np.array(indices, dtype=np.int64)
 
 
 class ViewChoice(ABC):
@@ -261,24 +265,20 @@ class Egocentric(ViewChoice):
 
     is_egocentric = True
     lack = "which has no egocentric view"
+    shows_others: ClassVar[bool] = False
+    """Whether it also shows the observed values that are not the robot's."""
 
     def of(self, task: EpisodeBatch) -> View | None:
         """Return the egocentric view, if the robot has one."""
         if task.robot is None or not task.robot.egocentric:
             return None
-        return EgocentricView(task.robot, task.proprioception.tolist(), self.others(task))
-
-    def others(self, task: EpisodeBatch) -> Sequence[int]:
-        """Return the indices of the observed values besides the robot's."""
-        return ()
+        return EgocentricView(task.robot, task.proprioception.tolist(), _others(task) if self.shows_others else ())
 
 
 class EgocentricAndOthers(Egocentric):
     """The robot's state in its own frame, then the rest of the observation."""
 
-    def others(self, task: EpisodeBatch) -> Sequence[int]:
-        """Return the indices of all other values."""
-        return _not_the_robots(task)
+    shows_others = True
 
 
 class Sectors(ViewChoice):
@@ -307,10 +307,10 @@ class Position(ViewChoice):
         """Return the view of the position and of all values but the robot's, if the position is known."""
         if not len(task.position_columns):
             return None
-        return ColumnsView([*task.position_columns.tolist(), *_not_the_robots(task)])
+        return ColumnsView([*task.position_columns.tolist(), *_others(task)])
 
 
-def _not_the_robots(task: EpisodeBatch) -> list[int]:
+def _others(task: EpisodeBatch) -> list[int]:
     """Return the indices of the observed values besides the robot's coordinates, in ascending order."""
     return sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
 

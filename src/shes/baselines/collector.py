@@ -15,12 +15,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from shes.agents.mlp import normalise
 from shes.baselines.learner_settings import LearnerSettings
 from shes.baselines.levels import Level, Network
 from shes.baselines.replay import Rows
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import DivergenceError
-from shes.es.statistics import ObservationStatistics, normalise
+from shes.es.statistics import ObservationStatistics
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 

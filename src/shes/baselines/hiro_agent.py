@@ -16,8 +16,48 @@ from shes.agents.agent import AgentBatch, AgentDesign
 from shes.agents.mlp import MLP, RectifiedMLP
 from shes.agents.views import ColumnsView
 from shes.envs.episode_batch import EpisodeBatch
-from shes.es.statistics import normalise
-from shes.types import CONTROLLER, F32Array, F64Array, IntArray
+from shes.types import CONTROLLER, F32Array, F64Array
+
+
+class HiroAgent(AgentBatch["HiroDesign"]):
+    """HIRO's agents, in P lanes of R episodes each.
+
+    The goal is stored as the coordinates that it leads to, s_t + g_t. Subtracting the current coordinates is the goal
+    transition h(s, g, s') = s + g - s'.
+    """
+
+    def allocate(self) -> None:
+        """Allocate the goals and the inputs of the primitive."""
+        design, rows, xp = self.design, self.num_rows, self.xp
+        self._limit = xp.asarray(design.half_range)
+        self._target: F64Array = xp.zeros((rows, design.decision_size))
+        self.goal = self._target[:, :2]
+        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
+        self._view = design.primitive_view.on(xp)
+
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
+        design, size = self.design, self.design.decision_size
+        coordinates = design.coordinates(observation, position)
+        is_due = self.clock % design.controller_interval == 0
+        if is_due.any():
+            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
+            rows = self.rows(due)
+            output = self.levels[CONTROLLER].act(observation[rows], decision_noise, rows, due)
+            self._target[rows] = coordinates[rows] + output * self._limit
+        self.clock += 1
+        self._inputs[:, :size] = self._target - coordinates
+        self._view.write(observation, heading, self._inputs[:, size:])
+        return self.levels[-1].act(self._inputs, control_noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +68,7 @@ class HiroDesign(AgentDesign):
     observes the goal, seen from the current state, and then its view.
     """
 
+    agent = HiroAgent
     controller: RectifiedMLP
     primitive: RectifiedMLP
     primitive_view: ColumnsView
@@ -93,60 +134,3 @@ class HiroDesign(AgentDesign):
         """Return how often a goal is set, and the coordinates that it concerns."""
         goals = {"columns": self.columns, "half_range": self.half_range, "view": self.primitive_view.indices}
         return {"controller_interval": self.controller_interval, "state_goals": goals}
-
-    @property
-    def agent(self) -> type[HiroAgent]:
-        """The class of the agents."""
-        return HiroAgent
-
-
-class HiroAgent(AgentBatch[HiroDesign]):
-    """HIRO's agents, in P lanes of R episodes each.
-
-    The goal is stored as the coordinates that it leads to, s_t + g_t. Subtracting the current coordinates is the goal
-    transition h(s, g, s') = s + g - s'.
-    """
-
-    def allocate(self) -> None:
-        """Allocate the goals and the inputs of the primitive."""
-        design, rows, xp = self.design, self.num_rows, self.xp
-        self._limit = xp.asarray(design.half_range)
-        self._target: F64Array = xp.zeros((rows, design.decision_size))
-        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
-        self._view = design.primitive_view.on(xp)
-
-    @property
-    def goal(self) -> F64Array:
-        """Current goals in the world frame [N, 2] in metres: the first two of their coordinates."""
-        return self._target[:, :2]
-
-    def act(
-        self,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        *,
-        goal: F64Array | None = None,
-        decision_noise: F32Array | None = None,
-        control_noise: F32Array | None = None,
-    ) -> F32Array:
-        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
-        design, size = self.design, self.design.decision_size
-        coordinates = design.coordinates(observation, position)
-        is_due = self.clock % design.controller_interval == 0
-        if is_due.any():
-            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
-            rows = self._rows(due)
-            self._target[rows] = coordinates[rows] + self._decide(due, observation[rows], decision_noise)
-        self.clock += 1
-        self._inputs[:, :size] = self._target - coordinates
-        self._view.write(observation, heading, self._inputs[:, size:])
-        return self._control(self._inputs, control_noise)
-
-    def _decide(self, due: slice | IntArray, observation: F64Array, noise: F32Array | None) -> F64Array:
-        """Return the goals [rows, G] that the controllers of lanes `due` set for their `observation` [rows, O]."""
-        scaled = normalise(observation, *self._normalisation[CONTROLLER], self.design.input_clip)
-        output = self._forward(CONTROLLER, self._by_lane(scaled), due)
-        if noise is not None:
-            output += noise[due]
-        return output.reshape(len(scaled), -1) * self._limit

@@ -21,11 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from shes.agents.mlp import normalise
 from shes.baselines.learner_settings import LearnerSettings
 from shes.baselines.levels import Learner, LearnerState, Level, Network
 from shes.baselines.replay import Rows
 from shes.errors import DivergenceError
-from shes.es.statistics import normalise
 from shes.types import F32Array, FloatArray
 
 TARGET_NOISE, TARGET_NOISE_CLIP = 0.2, 0.5

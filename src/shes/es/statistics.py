@@ -10,7 +10,7 @@ from types import ModuleType
 
 import numpy as np
 
-from shes.types import F32Array, F64Array, FloatArray, IntArray
+from shes.types import F64Array, IntArray
 
 MIN_VARIANCE = 0.01
 """Lower limit of the variance: normalisation magnifies no input more than tenfold."""
@@ -51,15 +51,6 @@ class ObservationStatistics:
         return ObservationStatistics(
             count=self.count + count, total=self.total + total, total_squares=self.total_squares + total_squares
         )
-
-
-def normalise(observation: FloatArray, mean: F64Array, inverse_std: F64Array, clip: float = CLIP) -> F32Array:
-    """Return `(observation - mean) * inverse_std` [..., O], clipped to [-clip, clip], as float32."""
-    scaled = observation - mean
-    scaled *= inverse_std
-    np.maximum(scaled, -clip, out=scaled)  # two ufuncs are faster than np.clip
-    np.minimum(scaled, clip, out=scaled)
-    return scaled.astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,8 +19,7 @@ from shes.es.noise import NoiseTable
 from shes.evolution.estimates import Draws, Hyperparameters, Population, next_running
 from shes.evolution.state import TrainState
 from shes.evolution.way_search import explore
-from shes.rollout.results import PopulationResults
-from shes.rollout.roll_out import roll_out_tasks
+from shes.rollout.roll_out import PopulationResults, roll_out_tasks
 
 
 @dataclass(frozen=True, kw_only=True)

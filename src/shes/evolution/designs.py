@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from shes.agents.agent import AgentDesign, Clock, FlatDesign
+from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.equivariant import EquivariantMLP, sector_actions
 from shes.agents.goal_agent import Controller, GoalDesign
-from shes.agents.goals import make_goal_encoding
+from shes.agents.goals import SectorOutput, make_controller_output, make_goal_encoding
 from shes.agents.mlp import MLP
-from shes.agents.outputs import SectorOutput, make_controller_output
 from shes.agents.rewards import make_primitive_reward
 from shes.agents.views import (
     CONTROLLER_VIEWS,
     PRIMITIVE_VIEWS,
+    Clock,
     Proprioception,
     SectorsView,
     View,

@@ -24,7 +24,7 @@ from shes.es.schedules import Schedule
 from shes.evolution.state import RunningEpisodes, TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
-from shes.rollout.results import PopulationResults
+from shes.rollout.roll_out import PopulationResults
 from shes.streams import Purpose, stream
 from shes.types import F64Array, IntArray
 

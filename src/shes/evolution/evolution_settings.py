@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from shes.agents.goals import GOAL_ENCODINGS
+from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
 from shes.agents.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
-from shes.agents.outputs import CONTROLLER_OUTPUTS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.envs.bodies.symmetry import SYMMETRIES

@@ -157,10 +157,7 @@ class EpisodeTask:
     """Number of control steps before the snapshot of each episode. An episode that ends earlier has none."""
 
     def part(self, start: int, stop: int) -> EpisodeTask:
-        """Return the task of the episodes from `start` to `stop`, exclusive, in the same slots.
-
-        A part costs the matmul of the whole task.
-        """
+        """Return the task of episodes `start` to `stop`, in the same slots. It costs the matmul of the whole task."""
         cut = slice(start, stop)
         return replace(self, slots=self.slots[cut], seeds=self.seeds[cut], snapshot_steps=self.snapshot_steps[cut])
 

@@ -5,6 +5,7 @@ In whole episodes of training it is exploration noise. In evaluations it is noth
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from shes.agents.agent import AgentBatch
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation, wander
 from shes.streams import EpisodePurpose, episode_stream
-from shes.types import F32Array, F64Array, IntArray
+from shes.types import F32Array, F64Array
 
 EXPLORATION_STD = 0.01
 """Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
@@ -41,15 +42,19 @@ class Exploration:
         self.is_on = explores or self._decisions is not None
         self._has_control_noise = explores and not generation.has_frozen_control
 
-    def draw(self, lane: int, task: EpisodeTask) -> None:
-        """Draw the noise, and the decisions if they are given, of the episodes of `task` in `lane`, by their seeds."""
-        for slot, seed in zip(task.slots, task.seeds, strict=True):
-            rng = episode_stream(seed, EpisodePurpose.EXPLORATION_NOISE)
-            for noise in self._drawn:
-                drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
-                np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
-            if self._decisions is not None:
-                self._drawn[0][:, lane, slot] = self._decide(self._decisions, seed)
+    def draw(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
+        """Draw the noise, and decisions if they are given, of tasks that have `started`, by lane, from their seeds."""
+        if not self.is_on:
+            return
+        for lane, (_, task) in started.items():
+            for slot, seed in zip(task.slots, task.seeds, strict=True):
+                rng = episode_stream(seed, EpisodePurpose.EXPLORATION_NOISE)
+                for noise in self._drawn:
+                    drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
+                    np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
+                if self._decisions is not None:
+                    self._drawn[0][:, lane, slot] = self._decide(self._decisions, seed)
+        self._decision_noise, self._control_noise = (self._agent.xp.asarray(noise) for noise in self._drawn)
 
     def _decide(self, decisions: Decisions, seed: int) -> F64Array:
         """Return the outputs [decisions, decision_size] of the deciding level in an episode."""
@@ -57,34 +62,25 @@ class Exploration:
         if decisions == "zero":
             return np.zeros((count, design.decision_size))
         if decisions == "random":
-            rng = episode_stream(seed, EpisodePurpose.RANDOM_GOALS)
-            return design.direction_outputs(rng.uniform(0, 2 * np.pi, count))
-        if decisions == "wander":
-            rng = episode_stream(seed, EpisodePurpose.WANDERING)
-            return design.direction_outputs(wander(rng, count, 1)[:, 0])
-        return design.direction_outputs(np.full(count, decisions))
-
-    def upload(self) -> None:
-        """Transfer the drawn noise to the agent's device."""
-        self._decision_noise, self._control_noise = (self._agent.xp.asarray(noise) for noise in self._drawn)
+            angles = episode_stream(seed, EpisodePurpose.RANDOM_GOALS).uniform(0, 2 * np.pi, count)
+        elif decisions == "wander":
+            angles = wander(episode_stream(seed, EpisodePurpose.WANDERING), count, 1)[:, 0]
+        else:
+            angles = np.full(count, decisions)
+        return design.direction_outputs(angles)
 
     def of_step(self) -> dict[str, F32Array]:
         """Return the noise of this step by argument of `act`; empty if the noise is off."""
         if not self.is_on:
             return {}
-        clock, last = self._agent.clock, self._horizon - 1
-        first = int(clock[0])
+        design, steps = self._agent.design, np.minimum(self._agent.clock, self._horizon - 1)
         # All lanes are usually at the same step. The noise is a view then.
-        step = min(first, last) if (clock == first).all() else np.minimum(clock, last)
+        is_same = (steps == steps[0]).all()
+        lanes = np.arange(len(steps))
         noise: dict[str, F32Array] = {}
-        design = self._agent.design
         if design.decision_size:
-            noise["decision_noise"] = _at(self._decision_noise, step // design.controller_interval)
+            places = steps // design.controller_interval
+            noise["decision_noise"] = self._decision_noise[places[0] if is_same else (places, lanes)]
         if self._has_control_noise:
-            noise["control_noise"] = _at(self._control_noise, step)
+            noise["control_noise"] = self._control_noise[steps[0] if is_same else (steps, lanes)]
         return noise
-
-
-def _at(noise: F32Array, place: int | IntArray) -> F32Array:
-    """Return `noise[place[p], p]` [P, ...] for each lane p; a view if all lanes have the same place."""
-    return noise[place] if isinstance(place, int) else noise[place, np.arange(len(place))]

@@ -11,7 +11,7 @@ waits for the device twice: to check that actions are finite, and to find the ep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -31,7 +31,6 @@ from shes.types import BoolArray, F32Array, F64Array, IntArray, to_host
 
 NumberedTask = tuple[int, EpisodeTask]
 """A task with its number."""
-_NONE_LEFT: Any = object()
 
 
 @dataclass(kw_only=True)
@@ -62,7 +61,9 @@ class Rollout:
         `make_batch` returns the environment for a number of episodes N = P * R. The episodes of a lane belong to
         `members_per_lane` members, which share their noise.
         """
-        self.rows_per_lane, self.horizon, self.members_per_lane = rows_per_lane, horizon, members_per_lane
+        self.num_lanes, self.rows_per_lane, self.members_per_lane = num_lanes, rows_per_lane, members_per_lane
+        self.shape = num_lanes, rows_per_lane, members_per_lane
+        self.horizon = horizon
         self.design = design
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
@@ -77,45 +78,31 @@ class Rollout:
         self._seconds: F64Array = np.zeros(len(PARTS))
         self._recorder: SnapshotRecorder | None = None
 
-    @property
-    def num_lanes(self) -> int:
-        """Number of lanes, P."""
-        return len(self._lanes)
-
     def run(
         self,
-        work: Iterator[NumberedTask | None],
+        take: Callable[[int], Sequence[NumberedTask]],
         generation: Generation,
         table: NoiseTable,
         on_step: Callable[[], None] = lambda: None,
     ) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
+        """Run tasks, one per lane at a time, and yield numbered results as they finish, until none is left.
 
-        None in `work` means that no more tasks are to be started until an episode has ended. `on_step` is called after
-        every step. A PolicyError is raised for a policy that returned NaN or infinity.
+        `take(n)` returns up to n further tasks; it is asked again when an episode has ended. `on_step` is called after
+        steps that end no episode. A PolicyError is raised for a policy that returned NaN or infinity.
         """
         self.batch.set_way(generation.way)
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals
         self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
-        self.agent.normalise_by(generation.levels)
-        if self.agent.shares_noise:
-            self.agent.centre_on(generation.levels)
+        self.agent.centre_on(generation.levels)
         self._lanes = [None] * self.num_lanes
         self._is_running[:] = False
         self._running = np.flatnonzero(self._is_running)
         means = [self.xp.asarray(level.theta) for level in generation.levels]
-        is_exhausted = False
         while True:
             free = [place for place, lane in enumerate(self._lanes) if lane is None]
-            if not is_exhausted and free and not (self.batch.starts_together and len(free) < self.num_lanes):
-                started: dict[int, NumberedTask] = {}
-                for place in free:
-                    numbered = next(work, _NONE_LEFT)
-                    is_exhausted = numbered is _NONE_LEFT
-                    if numbered is None or is_exhausted:
-                        break
-                    started[place] = numbered
+            if free and not (self.batch.starts_together and len(free) < self.num_lanes):
+                started = dict(zip(free, take(len(free)), strict=False))
                 if started:
                     self._start(started, means, generation, table)
             if not len(self._running):
@@ -130,17 +117,22 @@ class Rollout:
         """Start tasks in free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
         slots: list[int] = []
         seeds: list[int] = []
+        states: list[F64Array | None] = []
         for place, (number, task) in started.items():
             self._perturb(place, task, means, generation.sigma, table)
             slots += [place * self.rows_per_lane + slot for slot in task.slots]
             seeds += task.seeds
-            if self._exploration.is_on:
-                self._exploration.draw(place, task)
-            results = _empty_results(task, self.design.observation_sizes)
-            self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
+            count, sizes = len(task.slots), self.design.observation_sizes
+            results = EpisodeResults(
+                outcomes=empty_outcomes(len(sizes), count),
+                moments=tuple(Moments.zeros(count, size) for size in sizes) if task.records_statistics else None,
+                snapshots=[None] * count,
+            )
+            states += [None if task.start is None else task.start.state] * count
+            self._lanes[place] = _Lane(number=number, task=task, running=set(range(count)), results=results)
         rows = np.array(slots)
-        starts = [None if task.start is None else task.start.state for _, task in started.values() for _ in task.slots]
-        self.batch.reset(rows, seeds, starts if any(state is not None for state in starts) else ())
+        self._exploration.draw(started)
+        self.batch.reset(rows, seeds, states if any(state is not None for state in states) else ())
         # If none is running, lanes without work start as well: steps are faster if all lanes have the same clock.
         self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
         for place, (_, task) in started.items():
@@ -148,26 +140,24 @@ class Rollout:
                 self.agent.go_on(place, task.start.steps, task.start.goals)
         if self._recorder is not None:
             self._recorder.begin(started)
-        if self._exploration.is_on:
-            self._exploration.upload()
         self._intrinsic_return[self.xp.asarray(rows)] = 0
         self._steps[rows] = 0
         self._is_running[rows] = True
         self._running = np.flatnonzero(self._is_running)
-        self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
+        for level in self.agent.levels:
+            level.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
 
     def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
         """Write the parameters of a task into lane `place`."""
-        agent = self.agent
-        for level, mean in enumerate(means):
+        for level, (own, mean) in enumerate(zip(self.agent.levels, means, strict=True)):
             noise = table.slice(task.noise_index[level], len(mean))
             scales = [sigma * signs[level] for signs in task.signs]
-            if agent.shares_noise:
-                agent.theta[level][place] = noise
+            if self.members_per_lane > 1:
+                own.theta[place] = noise
                 each = np.repeat(np.array(scales, np.float32), self.rows_per_lane // self.members_per_lane)
-                agent.scale[level][place, :, 0] = self.xp.asarray(each)
+                own.scale[place, :, 0] = self.xp.asarray(each)
             else:
-                perturb(mean, noise, scales[0], agent.theta[level][place])
+                perturb(mean, noise, scales[0], own.theta[place])
 
     def _step(self) -> IntArray:
         """Advance every running episode by one control step, and return the rows of those that ended."""
@@ -212,7 +202,9 @@ class Rollout:
                 policy.pool(mine.total[k], mine.total_squares[k])
             if lane.task.kept_slot == slot:
                 has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
-                results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
+                if not has_ended_early:
+                    steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
+                    results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
             if self._recorder is not None:
                 results.snapshots[k] = self._recorder.of(row)
             lane.running.discard(k)
@@ -221,12 +213,6 @@ class Rollout:
                 results.seconds[:] = self._seconds
                 self._seconds[:] = 0
                 yield lane.number, results
-
-    def _snapshot(self, row: int, task: EpisodeTask) -> Snapshot:
-        """Return a snapshot of the end of the episode in `row`."""
-        before = 0 if task.start is None else task.start.steps
-        state = self.batch.states(np.array([row]))[0]
-        return Snapshot(state=state, steps=before + int(self._steps[row]))
 
     def _outcomes(self, rows: IntArray) -> tuple[Outcomes, list[tuple[F64Array, ...]]]:
         """Return the outcomes of the episodes in `rows`, and the moments of each level."""
@@ -256,8 +242,9 @@ class Rollout:
         if self.design.intrinsic_level is not None:
             outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]
         moments = [
-            tuple(to_host(sums[ids]) for sums in (each.count, each.total, each.total_squares))
-            for each in (agent.moments if agent.is_recording else ())
+            tuple(to_host(sums[ids]) for sums in (own.moments.count, own.moments.total, own.moments.total_squares))
+            for own in agent.levels
+            if own.is_recording
         ]
         return outcomes, moments
 
@@ -270,21 +257,11 @@ class Rollout:
                 continue
             place, slot = divmod(row, self.rows_per_lane)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
-            bad = [not bool(np.isfinite(theta).all()) for theta in self.agent.parameters(place)]
-            which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
+            levels = zip(self.design.level_names, self.agent.levels, strict=True)
+            which = " and ".join(name for name, level in levels if not level.is_finite(place))
             member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
             raise PolicyError(
                 f"the policy of member {member} returned NaN or infinity at step {int(self._steps[row])}"
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
                 f"{seed}. Start another run with a lower --learning-rate or --sigma."
             )
-
-
-def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
-    """Return empty results for the episodes of `task`, whose levels have `sizes` inputs."""
-    k = len(task.slots)
-    return EpisodeResults(
-        outcomes=empty_outcomes(len(sizes), k),
-        moments=tuple(Moments.zeros(k, size) for size in sizes) if task.records_statistics else None,
-        snapshots=[None] * k,
-    )

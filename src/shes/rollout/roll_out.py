@@ -1,12 +1,26 @@
-"""Run episode tasks on a backend, in parts if there are fewer tasks than workers need."""
+"""Roll out episode tasks on a backend, and collect the results of a whole population."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
 
 from shes.backends.backend import Backend
-from shes.rollout.episodes import EpisodeTask, Generation
-from shes.rollout.results import PopulationResults
+from shes.es.statistics import Moments, ObservationStatistics
+from shes.rollout.episodes import (
+    PARTS,
+    ByEpisode,
+    EpisodeResults,
+    EpisodeTask,
+    Generation,
+    Outcomes,
+    Snapshot,
+    empty_outcomes,
+)
+from shes.types import BoolArray, F64Array
 
 _LANE_COST = 0.05  # of a part, in episodes per episode of the whole task: its matmul has the rows of all of them
 
@@ -40,5 +54,74 @@ def divide(tasks: Sequence[EpisodeTask], num_workers: int) -> Sequence[EpisodeTa
 
 def _parts(task: EpisodeTask, count: int) -> list[EpisodeTask]:
     size = len(task.slots)
-    count = min(count, size)
-    return [task.part(i * size // count, (i + 1) * size // count) for i in range(count)]
+    cuts = [i * size // count for i in range(count + 1)]
+    return [task.part(*cut) for cut in pairwise(cuts) if cut[0] < cut[1]]
+
+
+def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
+    """Return `values` of episodes, of any shape, with those of diverged ones lowered to the minimum of the others."""
+    if not has_diverged.any() or has_diverged.all():
+        return values
+    return np.where(has_diverged, np.minimum(values, values[~has_diverged].min()), values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationResults(ByEpisode):
+    """Results of a population of n members with E episodes each."""
+
+    outcomes: Outcomes
+    """Outcome of each episode [n, E]. `returns` are [L, n, E], final positions [n, E, 2]."""
+    moments: list[Moments] = field(default_factory=list)
+    """Moments of each level, summed over episodes (K = 1); empty before the first."""
+    seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
+    """Seconds spent on each of `PARTS`, summed over workers."""
+    log: list[str] = field(default_factory=list)
+    snapshots: dict[tuple[int, int], Snapshot] = field(default_factory=dict)
+    """Snapshots by member and episode, in the order of the tasks."""
+
+    @classmethod
+    def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
+        """Return empty results, to be filled by `add`."""
+        return cls(outcomes=empty_outcomes(num_levels, members, episodes))
+
+    @classmethod
+    def of_tasks(cls, tasks: Sequence[EpisodeTask], generation: Generation) -> PopulationResults:
+        """Return empty results for all of `tasks`."""
+        members = 1 + max(task.member + max(task.slots) // generation.episodes_per_policy for task in tasks)
+        return cls.empty(len(generation.levels), members, generation.episodes_per_policy)
+
+    @property
+    def fitness(self) -> F64Array:
+        """Fitness of every member at each level [L, n]: its mean return.
+
+        A diverged episode counts as the worst of the others, so that divergence is never rewarded.
+        """
+        returns = [lower_diverged(row, self.has_diverged) for row in np.ascontiguousarray(self.returns)]
+        return np.stack(returns).mean(axis=2)
+
+    def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
+        """Add the result of `task`. The order of the calls affects the rounding of the moments."""
+        episodes = self.outcomes.shape[1]
+        place = np.divmod(task.member * episodes + np.array(task.slots), episodes)
+        self.outcomes[place] = result.outcomes
+        self.seconds[:] += result.seconds
+        self.log.extend(result.log)
+        for member, episode, snapshot in zip(*place, result.snapshots, strict=False):
+            if snapshot is not None:
+                self.snapshots[int(member), int(episode)] = snapshot
+        if result.moments is None:
+            return
+        if not self.moments:
+            self.moments.extend(Moments.zeros(1, m.total.shape[1]) for m in result.moments)
+        for mine, new in zip(self.moments, result.moments, strict=True):
+            mine.count[0] += new.count.sum()
+            for k in range(len(new.count)):
+                mine.total[0] += new.total[k]
+                mine.total_squares[0] += new.total_squares[k]
+
+    def observed(self, level: int, before: ObservationStatistics) -> ObservationStatistics:
+        """Return the statistics of the level at this place with the observations of these episodes."""
+        if not self.moments:
+            return before
+        moments = self.moments[level]
+        return before.merge(int(moments.count[0]), moments.total[0], moments.total_squares[0])

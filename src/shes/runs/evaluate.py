@@ -16,8 +16,7 @@ from shes.backends.backend import Backend
 from shes.envs.tasks.task_options import FallOptions
 from shes.errors import ConfigError
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
-from shes.rollout.results import PopulationResults, lower_diverged
-from shes.rollout.roll_out import roll_out_tasks
+from shes.rollout.roll_out import PopulationResults, lower_diverged, roll_out_tasks
 from shes.runs.build import build_backend, check_asked_device, check_limits, most_episodes, open_run
 from shes.runs.folder import RunFolder
 from shes.settings import Ge, checked

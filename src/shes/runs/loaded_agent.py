@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from shes.agents.frames import Frames
+from shes.agents.goal_agent import Frames
 from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters
@@ -52,9 +52,9 @@ class Agent:
         self._levels = dict(zip(algorithm.design.level_names, levels, strict=True))
         # One policy per environment, so that each has a clock and can be reset separately.
         self._agent = algorithm.design.make(num_envs, 1)
-        self._agent.normalise_by(levels)
-        for theta, level in zip(self._agent.theta, levels, strict=True):
-            theta[:] = level.theta
+        self._agent.centre_on(levels)
+        for own, level in zip(self._agent.levels, levels, strict=True):
+            own.theta[:] = level.theta
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
