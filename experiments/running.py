@@ -145,7 +145,7 @@ def _maker(experiment: Experiment, out: Path, num_workers: int, backend: str) ->
         one = partial(finish, out=out, episodes=experiment.episodes, workers=workers)
         return lambda runs: ((run, _error(one, run)) for run in runs)
     one = partial(finish, out=out, episodes=experiment.episodes)
-    return partial(_side_by_side, one, WorkerSettings(num_workers=num_workers).count)
+    return partial(side_by_side, one, WorkerSettings(num_workers=num_workers).count)
 
 
 def _error(finish_one: Callable[[Run], None], run: Run) -> str:
@@ -162,7 +162,7 @@ def _error(finish_one: Callable[[Run], None], run: Run) -> str:
 # Side by side. A run is as good after a kill as before, so processes that are no longer needed are killed.
 
 
-def _side_by_side(finish_one: Callable[[Run], None], at_once: int, runs: Sequence[Run]) -> Generator[tuple[Run, str]]:
+def side_by_side(finish_one: Callable[[Run], None], at_once: int, runs: Sequence[Run]) -> Generator[tuple[Run, str]]:
     """Yield each run and its error when it has ended; `at_once` processes make them."""
     if not runs:
         return

@@ -96,14 +96,6 @@ def test_a_transferred_run_begins_after_its_primitive(x, start, end):
     assert draw_curves(results_of(made), [wrong], 1) is not None  # without it, the curve begins at 0
 
 
-def test_curves_are_of_runs_and_panels_that_have_them():
-    made = experiment(*(run(name, env=env) for env in ("point-gather", "point-maze") for name in ("base", "other")))
-    panels = [Panel(env, env, (Curve("choices", "other"),), SCORE) for env in ("point-gather", "point-maze")]
-    figure = draw_curves(results_of(made, lambda each: each.env == "point-maze"), panels, 3)
-    assert [axis.get_title() for axis in figure.axes] == ["point-maze (1 seed)"]
-    assert draw_curves(results_of(made, lambda each: each.variant == "base"), panels, 3) is None
-
-
 @pytest.mark.extras
 @pytest.mark.parametrize("make", [figure_3, figure_5])
 def test_the_papers_figures_are_drawn_alike_again(make, tmp_path):

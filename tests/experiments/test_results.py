@@ -1,7 +1,5 @@
 """Summaries and tables of finished runs: kept, read back, refused if they are of other settings or damaged."""
 
-import json
-
 import pytest
 
 from experiments.results import (
@@ -25,7 +23,7 @@ def results_of(each, **row):
 
 
 def test_a_summary_is_read_back_and_that_of_other_settings_refused(tmp_path):
-    results = results_of(run())
+    results = results_of(run(), best_success=None)
     assert read_summary(run(), tmp_path) is None
     write_summary(run(), tmp_path, results)
     assert read_summary(run(), tmp_path) == results
@@ -93,8 +91,3 @@ def test_a_damaged_table_is_named_and_kept(tmp_path, damage, message):
         with pytest.raises(RunFolderError, match=rf"runs\.csv .*{message}.*Move it elsewhere"):
             use()
     assert table.read_text() == text
-
-
-def test_a_summary_holds_what_json_can(tmp_path):
-    write_summary(run(), tmp_path, results_of(run(), best_success=None))
-    assert json.loads((tmp_path / run().name / SUMMARY).read_text())["row"]["best_success"] is None

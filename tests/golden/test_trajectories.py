@@ -1,6 +1,5 @@
 """Golden trajectories: what an environment did when its numbers were last changed on purpose, it still does."""
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -13,27 +12,19 @@ TOLERANCE = 1e-6
 over_all = pytest.mark.parametrize("variant", VARIANTS, ids=trajectories.title)
 
 
-def advice(variant, stored):
-    """Return what to do about a difference."""
-    name, regenerate = trajectories.title(variant), "`python -m tests.golden.trajectories`"
-    if stored["mujoco"] == mujoco.__version__:
-        return (
-            f"{name} no longer moves as its golden trajectory says: the task itself has changed. If that was not "
-            f"meant, undo it; if it was, run {regenerate} and write 'changes numbers' into CHANGELOG.md."
-        )
-    return (
-        f"{name} moves differently with MuJoCo {mujoco.__version__} than with {stored['mujoco']}. Read its changelog, "
-        "and check with `make test-all` that walls hold (tests/envs/test_physics.py) and scripts solve the tasks "
-        f"(tests/envs/test_scripted_point.py). Then run {regenerate}, pin the version in constraints.txt, and write "
-        "'changes numbers' into CHANGELOG.md."
-    )
+WHAT_TO_DO = (
+    "{name} moves otherwise than its golden trajectory says, which is of MuJoCo {version}. With the same version, the"
+    " task has changed: if that was not meant, undo it. With another one, read its changelog and check with `make"
+    " test-all` that walls hold and scripts solve the tasks. To go on, run `python -m tests.golden.trajectories`, pin"
+    " the version in constraints.txt, and write 'changes numbers' into CHANGELOG.md."
+)
 
 
 @over_all
 def test_an_environment_moves_as_its_golden_trajectory_says(variant):
     assert trajectories.golden_file(variant).exists(), "no golden trajectory: run `python -m tests.golden.trajectories`"
     stored, played = trajectories.load(variant), trajectories.play(variant)
-    message = advice(variant, stored)
+    message = WHAT_TO_DO.format(name=trajectories.title(variant), version=stored["mujoco"])
     assert played["seeds"] == stored["seeds"], message
     for key in ("observations", "rewards", "scores"):
         np.testing.assert_allclose(played[key], stored[key], rtol=0, atol=TOLERANCE, err_msg=message)
@@ -51,18 +42,6 @@ def test_a_thousandth_is_seen_and_rounding_is_not(variant):
 def test_every_golden_trajectory_belongs_to_an_environment():
     stored = set(trajectories.FOLDER.glob("trajectory_*.json"))
     assert stored == {trajectories.golden_file(variant) for variant in VARIANTS}
-
-
-@pytest.mark.parametrize(
-    ("version", "told"),
-    [(mujoco.__version__, "the task itself has changed"), ("0.0.1", r"than with 0\.0\.1.*constraints\.txt")],
-)
-def test_a_difference_fails_with_advice(monkeypatch, version, told):
-    stored = trajectories.load(VARIANTS[0]) | {"mujoco": version}
-    stored["rewards"][1][-1] += 10 * TOLERANCE
-    monkeypatch.setattr(trajectories, "load", lambda _: stored)
-    with pytest.raises(AssertionError, match=rf"(?s){told}.*'changes numbers' into CHANGELOG\.md"):
-        test_an_environment_moves_as_its_golden_trajectory_says(VARIANTS[0])
 
 
 def test_golden_trajectories_collect_and_hit_something():

@@ -26,8 +26,6 @@ from shes.runs.evaluate import Evaluation, evaluate_state
 from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
 
-__all__ = ["Record", "RolledOut", "Update", "record_generations", "recording"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RolledOut:
@@ -59,6 +57,11 @@ class Update:
     rule: UpdateRule
     learning_rate: float
     result: LevelUpdate
+
+    @property
+    def stays(self) -> bool:
+        """Return whether the parameters stay the same."""
+        return np.array_equal(self.before.theta, self.result.level.theta)
 
 
 @dataclass(kw_only=True)
@@ -112,11 +115,10 @@ def recording() -> Iterator[Record]:
             record.device_simulators.append(arguments)
 
     class Device:
-        def __init__(self, name: str) -> None:
-            self.xp = np
+        xp = np
 
-        def release_memory(self) -> None:
-            """Do nothing."""
+        def __init__(self, name: str) -> None:
+            self.release_memory = self.free_bytes = lambda: None  # unknown
 
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)

@@ -1,4 +1,4 @@
-"""`shes compare`: runs over episodes, groups of runs over runs."""
+"""`shes compare`: runs over episodes, groups of runs over runs; which runs are repetitions of each other."""
 
 import itertools
 import json
@@ -9,21 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import shes
 from shes.cli import main
 from shes.errors import ConfigError, MissingExtraError
-from shes.runs.comparison import check_scipy, compare_runs, mean_difference_interval, permutation_test
-from shes.runs.evaluate import evaluate
+from shes.runs.comparison import compare_runs, mean_difference_interval, permutation_test
 from tests.e2e import runs
-
-
-@pytest.fixture(scope="module")
-def groups(tmp_path_factory):
-    """Two folders of runs that differ in the seed, of different settings. Not to be changed."""
-    folder = tmp_path_factory.mktemp("groups")
-    for name, sigma in (("a", 0.07), ("b", 0.5)):
-        for seed in (1, 2, 3):
-            runs.train_tiny(folder / name / f"seed-{seed}", seed=seed, sigma=sigma, generations=1)
-    return folder
 
 
 def test_an_interval_is_that_of_welch():
@@ -56,55 +46,117 @@ def test_the_permutation_test_of_many_values_is_seeded_and_never_zero():
 def test_without_scipy_nothing_is_compared_and_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(MissingExtraError, match=r"comparing runs needs SciPy \(.*pip install 'shes\[compare\]'"):
-        check_scipy()
+        permutation_test(np.zeros(2), np.ones(2))
 
 
-def test_groups_are_compared_over_runs(groups):
-    found = compare_runs(
-        groups / "a", groups / "b", episodes=4, num_workers=1, measure="return", seed=7, checkpoint="last"
+def train_on(primitive, path, seed=1, **settings):
+    """Train a controller for the primitive of the run at `primitive`."""
+    return runs.train_tiny(path, seed=seed, primitive=str(primitive), generations=1, **settings)
+
+
+@pytest.fixture(scope="module")
+def transferred(tmp_path_factory):
+    """Folders `gather/a` and `gather/b` of two runs each. Their primitives differ in `sigma`. Not to be changed."""
+    folder = tmp_path_factory.mktemp("transferred")
+    for name, sigma in (("a", 0.07), ("b", 0.5)):
+        for seed in (1, 2):
+            primitive = folder / "flagrun" / name / f"seed-{seed}"
+            runs.train_tiny(primitive, "point-flagrun", seed=seed, sigma=sigma, generations=1)
+            train_on(primitive, folder / "gather" / name / f"seed-{seed}", seed=seed)
+    return folder
+
+
+@pytest.fixture
+def compared(transferred):
+    """Return a function that compares the runs of a folder with those of `gather/b`; return how many there are."""
+    return lambda folder: compare_runs(folder, transferred / "gather" / "b", episodes=2, num_workers=1).first_count
+
+
+def test_groups_are_compared_over_runs(transferred, capsys):
+    sides = [transferred / "gather" / side for side in ("a", "b")]
+    given = {"episodes": 3, "num_workers": 1, "seed": 7, "checkpoint": "last"}
+    found = compare_runs(*sides, measure="return", **given)
+    one, other = (
+        np.array([shes.evaluate(path, **given).returns.mean() for path in sorted(side.iterdir())]) for side in sides
     )
-    means = [
-        np.array(
-            [
-                evaluate(path, episodes=4, num_workers=1, seed=7, checkpoint="last").returns.mean()
-                for path in sorted((groups / side).iterdir())
-            ]
-        )
-        for side in ("a", "b")
-    ]
-    assert (found.unit, found.first_count, found.second_count) == ("runs", 3, 3)
-    assert (found.first_mean, found.second_mean) == (means[0].mean(), means[1].mean())
-    assert found.difference == pytest.approx(means[1].mean() - means[0].mean())
-    assert (found.low, found.high) == mean_difference_interval(*means)
+    assert (found.unit, found.first_count, found.second_count) == ("runs", 2, 2)
+    assert (found.first_mean, found.second_mean) == (one.mean(), other.mean())
+    assert found.difference == pytest.approx(other.mean() - one.mean())
+    assert (found.low, found.high) == mean_difference_interval(one, other)
     assert found.low <= found.difference <= found.high
-    assert found.p >= 0.1  # the least that 3 and 3 runs can give
+    assert found.p >= 1 / 3  # the least that 2 and 2 runs can give
+    words = ["compare", *map(str, sides), "--episodes", "3", "--workers", "1", "--seed", "7", "--checkpoint", "last"]
+    assert main([*words, "--measure", "return", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out).items() >= {"p": found.p, "low": found.low, "unit": "runs"}.items()
 
 
-def test_single_runs_are_compared_over_episodes(groups):
-    found = compare_runs(groups / "a" / "seed-1", groups / "a" / "seed-1", episodes=4, num_workers=1)
+def test_single_runs_are_compared_over_episodes(transferred, capsys):
+    one = transferred / "gather" / "a" / "seed-1"
+    found = compare_runs(one, one, episodes=4, num_workers=1)
     assert (found.unit, found.first_count, found.difference, found.p) == ("episodes", 4, 0, 1)
-
-
-def test_the_command_prints_a_table_or_json(groups, capsys):
-    words = ["compare", str(groups / "a"), str(groups / "b"), "--episodes", "2", "--workers", "1"]
-    assert main(words) == 0
+    assert main(["compare", str(one), str(one), "--episodes", "2", "--workers", "1"]) == 0
     assert "95 % interval [" in capsys.readouterr().out
-    assert main([*words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["unit"], found["measure"], found["first_count"]) == ("runs", "score", 3)
 
 
-def test_what_cannot_be_compared_is_refused(groups, tmp_path):
-    one = groups / "a" / "seed-1"
-    with pytest.raises(ConfigError, match=r"one run cannot be compared with several: .*a has 3 and .*seed-1 has 1"):
-        compare_runs(groups / "a", one)
-    with pytest.raises(
-        ConfigError, match=r"the runs below .* differ in sigma\. Give the folder of one group, such as .*a"
-    ):
-        compare_runs(groups, one)
-    with pytest.raises(ConfigError, match="is a run of point-gather, ant-walker of ant-flagrun"):
-        compare_runs(one, "ant-walker")
+def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
+    gather, one = transferred / "gather", transferred / "gather" / "a" / "seed-1"
     for copy in ("c", "d"):
         shutil.copytree(one, tmp_path / "twice" / copy)
-    with pytest.raises(ConfigError, match="have the same seed and settings: they are one run"):
-        compare_runs(tmp_path / "twice", groups / "a")
+    for first, second, message in (
+        (gather / "a", one, r"one run cannot be compared with several: .*a has 2 and .*seed-1 has 1"),
+        (
+            gather,
+            gather / "b",
+            r"runs below .* differ in primitive's sigma\. Give the folder of one group, such as .*a",
+        ),
+        (one, "ant-walker", "is a run of point-gather, ant-walker of ant-flagrun"),
+        (tmp_path / "twice", gather / "a", "have the same seed and settings: they are one run"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            compare_runs(first, second)
+
+
+# Repetitions: runs on primitives of other runs are if their primitives are.
+
+
+def test_runs_whose_primitives_differ_in_the_seed_are_repetitions(transferred, tmp_path, compared):
+    primitives = transferred / "flagrun" / "a"
+    shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
+    train_on(primitives / "seed-1", tmp_path / "all" / "shared", seed=3)
+    train_on(primitives / "seed-2", tmp_path / "all" / "same", seed=3)  # of one seed, but of two primitives
+    assert compared(tmp_path / "all") == 4
+
+
+def test_runs_on_a_primitive_of_another_length_are_none(transferred, tmp_path, compared):
+    longer = shutil.copytree(transferred / "flagrun" / "a" / "seed-1", tmp_path / "longer")
+    shes.resume(longer, generations=2)
+    shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
+    train_on(longer, tmp_path / "all" / "on-longer", seed=3)
+    with pytest.raises(ConfigError, match=r"differ in primitive's generations\."):
+        compared(tmp_path / "all")
+
+
+def test_a_chain_of_transfers_is_known_to_its_first_run(transferred, tmp_path, compared):
+    for name, seed in (("a", 1), ("a", 2), ("b", 1)):
+        first, second = (tmp_path / place / f"{name}-{seed}" for place in ("first", "second"))
+        shutil.copytree(transferred / "flagrun" / name / f"seed-{seed}", first)
+        settings = {"seed": 7, "sigma": 0.3, "freeze_primitive": False, "generations": 1}
+        runs.train_tiny(second, "point-flagrun", primitive=str(first), **settings)
+        train_on(second, tmp_path / "third" / f"{name}-{seed}", seed=9)
+    for folder in ("first", "second"):
+        shutil.rmtree(tmp_path / folder)
+    with pytest.raises(ConfigError, match=r"differ in primitive's primitive's sigma\."):
+        compared(tmp_path / "third")
+    shutil.rmtree(tmp_path / "third" / "b-1")
+    assert compared(tmp_path / "third") == 2
+
+
+@pytest.mark.parametrize("config", [None, [], {"run": {"env": "gone"}}])
+def test_a_damaged_origin_counts_by_its_path(transferred, tmp_path, compared, config):
+    shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
+    file = tmp_path / "all" / "seed-1" / "config.json"
+    record = json.loads(file.read_text())
+    record["primitive"]["config"] = config
+    file.write_text(json.dumps(record))
+    with pytest.raises(ConfigError, match=r"differ in primitive\."):
+        compared(tmp_path / "all")

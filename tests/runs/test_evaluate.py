@@ -1,6 +1,5 @@
 """Evaluation: fresh episodes of the mean policies, with the trained controller or one that has learned nothing."""
 
-import importlib
 import json
 import math
 from dataclasses import replace
@@ -10,79 +9,79 @@ import pytest
 
 from shes.agents.goal_agent import GoalAgent
 from shes.cli import main
-from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
+from shes.envs.bodies.point import Point
+from shes.envs.named_environments import ENVIRONMENTS, Environment
+from shes.envs.tasks.mazes import Maze
+from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.evolution.strategies import EvolutionAlgorithm
-from shes.runs.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
+from shes.runs.evaluate import Evaluation, build_backend, evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.streams import Purpose
 from tests.e2e import runs
 from tests.runs.recorder import recording
 
 ARRAYS = ("scores", "returns", "primitive_returns", "goals_reached", "successes", "steps", "diverged")
-MODULE = importlib.import_module("shes.runs.evaluate")
 
 
 def same(one, other):
     return all(getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in ARRAYS)
 
 
+def episode_seeds(record):
+    """Return the seeds of the episodes of an evaluation that was recorded, in order."""
+    return [seed for each in record.of("evaluation") for task in each.tasks for seed in task.seeds]
+
+
 @pytest.fixture(scope="module")
 def threes(tmp_path_factory):
     """A run with three episodes per policy, so that blocks of evaluation are not full."""
-    settings = {"episodes_per_policy": 3, "backend": "processes", "num_workers": 1, "generations": 1}
-    return runs.train_tiny(tmp_path_factory.mktemp("threes") / "run", **settings)
+    return runs.train_tiny(tmp_path_factory.mktemp("threes") / "run", episodes_per_policy=3, generations=1)
 
 
-@pytest.mark.parametrize("controller", ["trained", "constant", "random"])
-def test_workers_change_no_number(threes, controller):
-    one, two = (evaluate(threes, episodes=7, num_workers=workers, controller=controller) for workers in (1, 2))
+@pytest.mark.parametrize(("controller", "backend"), [("constant", "ray"), ("random", "mpi")])
+def test_neither_workers_nor_the_cluster_of_a_run_change_a_number(threes, monkeypatch, controller, backend):
+    monkeypatch.setenv("RAY_ADDRESS", "gone:6379")  # the cluster that trained the run need not be there
+    one = evaluate(threes, episodes=7, controller=controller)  # in this process
+    config = threes / "config.json"
+    before = config.read_text()
+    record = json.loads(before)
+    record["config"]["workers"]["backend"] = backend
+    config.write_text(json.dumps(record))
+    two = evaluate(threes, episodes=7, num_workers=2, controller=controller)
+    config.write_text(before)
     assert same(one, two)
     assert one.controller == two.controller
     assert one.scores.shape == (7,)
 
 
-@pytest.mark.parametrize("backend", ["mpi", "ray"])
-def test_a_run_of_a_cluster_is_evaluated_on_this_machine(run_copy, tiny_run, monkeypatch, backend):
-    monkeypatch.setenv("RAY_ADDRESS", "gone:6379")
-    record = json.loads((run_copy / "config.json").read_text())
-    record["config"]["workers"]["backend"] = backend
-    (run_copy / "config.json").write_text(json.dumps(record))
-    assert same(evaluate(run_copy, episodes=4, num_workers=1), evaluate(tiny_run, episodes=4, num_workers=1))
-
-
 def test_fewer_episodes_are_the_first_of_more_and_a_seed_chooses_others(tiny_run):
-    few, many, one, again = (
-        evaluate(tiny_run, episodes=episodes, num_workers=1, seed=seed)
-        for episodes, seed in ((3, None), (5, None), (5, 1), (5, 1))
-    )
+    def found(episodes, seed=None, checkpoint="best"):
+        with recording() as record:
+            result = evaluate(tiny_run, episodes=episodes, num_workers=1, seed=seed, checkpoint=checkpoint)
+        return result, episode_seeds(record)
+
+    (few, of_few), (many, of_many), (one, of_one) = found(3), found(5), found(5, 1)
     assert all(np.array_equal(getattr(few, name), getattr(many, name)[:3]) for name in ARRAYS)
-    assert same(one, again)
-    assert not same(many, one)
-
-
-def test_fresh_episodes_are_none_of_those_that_chose_the_checkpoint(tiny_run):
-    state = runs.state(tiny_run, "last")
-    chosen = [evaluation_seeds(state.seed, generation, 50) for generation in (0, 2, state.generation)]
-    fresh = fresh_seeds(state, 50)
-    assert fresh == evaluation_seeds(state.seed, state.generation, 50, Purpose.FRESH_EPISODES)
-    own = fresh_seeds(state, 50, seed=3)
-    assert own == fresh_seeds(runs.state(tiny_run, "0"), 50, seed=3)  # whatever the checkpoint
-    assert len({seed for each in (*chosen, fresh, own) for seed in each}) == 250
+    assert of_few == of_many[:3]
+    again, of_again = found(5, 1, "0")  # the same episodes for every checkpoint
+    assert of_again == of_one != of_many
+    assert same(one, found(5, 1)[0])
+    assert not same(one, again)
+    assert not same(one, many)
 
 
 def test_targets_of_training_may_be_asked_for(tmp_path):
     # Training's target is far: nobody comes nearer than 200 m to it, or further than 50 m from evaluation's.
     run = runs.train_tiny(tmp_path / "run", "point-maze", target=(0.0, 300.0), evaluation_target=(0.0, 1.0))
-    one, other = (evaluate(run, episodes=4, num_workers=1, targets=targets) for targets in ("evaluation", "training"))
+    one, other = (evaluate(run, episodes=4, targets=targets) for targets in ("evaluation", "training"))
     assert other.returns.max() < 20 * -200
     assert one.returns.min() > 20 * -50
 
 
 def test_the_targets_of_training_come_without_its_falls(tmp_path):
-    run = runs.train_tiny(tmp_path / "run", "ant-maze", max_tilt=0.5)
+    run = runs.train_tiny(tmp_path / "run", "ant-maze", max_tilt=0.5, generations=1)
     assert np.mean(read_csv(run / "progress.csv")["terminated_rate"]) > 0.5
-    found = evaluate(run, episodes=3, num_workers=1, targets="training")
+    found = evaluate(run, episodes=3, targets="training")
     assert set(found.steps) == {RunFolder(run).read_config().episodes.horizon}
 
 
@@ -95,27 +94,11 @@ def test_checkpoints_are_evaluated_apart_and_nothing_is_written(tiny_run):
 
 
 def test_a_summary_holds_means_and_deviations():
-    found = Evaluation(
-        scores=np.array([0.0, 4.0]),
-        returns=np.array([-1.0, 3.0]),
-        primitive_returns=np.array([5.0, 6.0]),
-        goals_reached=np.array([2.0, 1.0]),
-        successes=np.array([0.0, 1.0]),
-        steps=np.array([10.0, 20.0]),
-        diverged=np.array([1.0, 0.0]),
-    )
-    assert found.summary() == {
-        "episodes": 2,
-        "score_mean": 2.0,
-        "score_std": 2.0,
-        "return_mean": 1.0,
-        "return_std": 2.0,
-        "primitive_return_mean": 5.5,
-        "goals_reached_mean": 1.5,
-        "success_rate": 0.5,
-        "episode_steps_mean": 15.0,
-        "diverged_episodes": 1,
-    }
+    values = ([0, 4], [-1, 3], [5, 6], [2, 1], [0, 1], [10, 20], [1, 0])
+    found = Evaluation(**{name: np.array(each, float) for name, each in zip(ARRAYS, values, strict=True)})
+    means = {"score_mean": 2.0, "score_std": 2.0, "return_mean": 1.0, "return_std": 2.0, "primitive_return_mean": 5.5}
+    means |= {"goals_reached_mean": 1.5, "success_rate": 0.5, "episode_steps_mean": 15.0}
+    assert found.summary() == {"episodes": 2, **means, "diverged_episodes": 1}
 
 
 @pytest.mark.parametrize(
@@ -124,7 +107,7 @@ def test_a_summary_holds_means_and_deviations():
 )
 def test_a_run_of_one_level_is_evaluated_by_what_it_has(tmp_path, env, settings, level):
     path = runs.train_tiny(tmp_path / "run", env, generations=1, evaluation_horizon=30, **settings)
-    found = evaluate(path, episodes=3, num_workers=1)
+    found = evaluate(path, episodes=3)
     of_primitive = {name for name in found.summary() if name.startswith(("primitive", "goals"))}
     assert of_primitive == ({"primitive_return_mean", "goals_reached_mean"} if level == "primitive" else set())
     if level == "primitive":  # the task pays by the same formula, in code of its own
@@ -135,26 +118,20 @@ def test_a_run_of_one_level_is_evaluated_by_what_it_has(tmp_path, env, settings,
     assert read_csv(path / "progress.csv")["episode_steps_mean"] == [20]
     assert found.controller is None
     assert "controller" not in found.listing().facts
-    message = (
-        rf"controller is 'random', but .*run has no controller \(levels: {level}\), .*'trained' is allowed.*Omit --c"
-    )
+    message = rf"controller is 'random', but .*run has no controller \(levels: {level}\), .*'trained' is allowed.*Omit"
     with pytest.raises(ConfigError, match=message):
         evaluate(path, episodes=1, controller="random")
 
 
-# What cannot be.
-
-
 def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
     def build(*arguments):
-        backend = original(*arguments)
+        backend = build_backend(*arguments)
         run = backend.map
         monkeypatch.setattr(backend, "map", lambda tasks: (backend.on_event("worker 7 is silent"), run(tasks))[1])
         return backend
 
-    original = MODULE.build_backend
-    monkeypatch.setattr(MODULE, "build_backend", build)
-    evaluate(tiny_run, episodes=2, num_workers=1)
+    monkeypatch.setattr("shes.runs.evaluate.build_backend", build)
+    evaluate(tiny_run, episodes=2)
     assert [(each.levelname, each.message) for each in caplog.records] == [("WARNING", "worker 7 is silent")]
 
 
@@ -165,27 +142,12 @@ def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
         ({"controller": "randm"}, UnknownNameError, r"unknown controller 'randm'.*Did you mean 'random'.*Set --contr"),
         ({"targets": "train"}, UnknownNameError, r"unknown targets 'train'.*Did you mean 'training'.*Set --targets"),
         ({"episodes": 0}, ConfigError, "episodes must be a whole number of at least 1, got 0"),
-        ({"njmax": 2}, ConfigError, "njmax is 2, but the CPU's physics has no fixed buffers"),
+        ({"run": __file__}, RunFolderError, "is not a run folder"),
     ],
 )
-def test_wrong_arguments_are_refused(tiny_run, tmp_path, given, error, message):
+def test_wrong_arguments_are_refused(tiny_run, given, error, message):
     with pytest.raises(error, match=message):
-        evaluate(tiny_run, **given)
-    with pytest.raises(RunFolderError, match="is not a run folder"):
-        evaluate(tmp_path)
-
-
-def test_a_policy_that_returns_nan_is_an_error(run_copy, monkeypatch):
-    """Where it comes from nobody knows: the checkpoint itself holds none."""
-
-    def parameters(learner, state):
-        controller, primitive = original(learner, state)
-        return controller, replace(primitive, theta=np.full_like(primitive.theta, np.nan))
-
-    original = EvolutionAlgorithm.parameters
-    monkeypatch.setattr(EvolutionAlgorithm, "parameters", parameters)
-    with pytest.raises(PolicyError, match=r"returned NaN or infinity at step 0 \(parameters of its primitive"):
-        evaluate(run_copy, episodes=2)
+        evaluate(**{"run": tiny_run, **given})
 
 
 # Controllers that have learned nothing.
@@ -233,12 +195,12 @@ def vectors(monkeypatch):
     return found
 
 
-@pytest.mark.parametrize("output", ["vector", "direction", "heading_vector", "heading_direction", "one_hot"])
-def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, vectors, output):
+@pytest.mark.parametrize("output", ["vector", "heading_vector", "one_hot"])
+def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, vectors, output, capsys):
     run = runs.train_tiny(tmp_path / "run", "point-maze", **MAZE, controller_output=output)
     vectors.clear()
-    found = evaluate(run, episodes=2, controller="constant")
-    assert found.controller == "constant: 90 degrees"
+    assert main(["evaluate", str(run), "--episodes", "2", "--controller", "constant", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["controller"] == "constant: 90 degrees"
     ways = np.reshape(vectors, (9, 4, 2, 2))  # [controller, decision, episode, axis]
     if output.startswith("heading"):  # the point turns
         ways = ways[:, :1]
@@ -246,33 +208,42 @@ def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, vectors
     for own, name in zip(angles[1:], NAMES[1:], strict=True):
         difference = own - math.radians(int(name.split()[0]))
         assert np.abs((difference + np.pi) % (2 * np.pi) - np.pi).max() < 0.2  # the heading is up to 0.1 rad off
-    if output in ("vector", "heading_vector"):
-        assert np.abs(ways[0]).max() < 1e-6
-    elif output == "one_hot":  # the first of its eight directions
+    if output == "one_hot":  # the first of its eight directions
         assert (ways[0] < 0).all()
+    else:
+        assert np.abs(ways[0]).max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("scores", "returns", "best"),
-    [({3: 2.0, 5: 1.0}, {5: 9.0}, 3), ({3: 1.0, 5: 1.0}, {5: 9.0}, 5), ({3: 1.0, 5: 1.0}, {}, 3), ({}, {}, 0)],
-)
-def test_the_best_constant_controller_has_the_highest_score_then_return(tiny_run, monkeypatch, scores, returns, best):
-    def evaluation(*arguments):
-        number = next(numbers)
-        values = {"scores": scores.get(number, 0.0), "returns": returns.get(number, 0.0)}
-        return replace(original(*arguments), **{name: np.array([value, value]) for name, value in values.items()})
+class Contrary(Maze):
+    """A maze that scores by the way to the right and pays for the way to the left, each if at all."""
 
-    original, numbers = MODULE._evaluation, iter(range(9))
-    monkeypatch.setattr(MODULE, "_evaluation", evaluation)
-    assert evaluate(tiny_run, episodes=2, controller="constant").controller == f"constant: {NAMES[best]}"
+    scores, pays = 1.0, 1.0
+
+    @property
+    def score(self):
+        return -self.scores * self.position[:, 1]
+
+    def update_features(self):
+        return self.pays * super().update_features()
+
+
+@pytest.mark.parametrize(("scores", "pays", "best"), [(1, 1, "-"), (0, 1, "90 degrees"), (0, 0, NAMES[0])])
+def test_the_highest_score_counts_then_the_return_then_the_first(tmp_path, walking, monkeypatch, scores, pays, best):
+    monkeypatch.setitem(ENVIRONMENTS, "point-contrary", Environment(Point, Contrary))
+    monkeypatch.setattr(Contrary, "scores", scores)
+    monkeypatch.setattr(Contrary, "pays", pays)
+    run = runs.train_tiny(tmp_path / "run", "point-contrary", **{**MAZE, "evaluation_target": (0.0, 300.0)})
+    assert evaluate(run, episodes=2, controller="constant").controller.startswith(f"constant: {best}")
 
 
 @pytest.mark.parametrize("output", ["vector", "one_hot"])
-def test_random_goals_are_drawn_for_every_decision_from_the_seed_of_the_episode(tmp_path, vectors, output):
+def test_random_goals_are_drawn_for_every_decision_from_the_episodes_seed(tmp_path, vectors, output):
     run = runs.train_tiny(tmp_path / "run", "point-maze", **MAZE, controller_output=output)
     vectors.clear()
-    assert evaluate(run, episodes=3, seed=4, controller="random").controller == "random"
-    seeds = fresh_seeds(runs.state(run), 3, seed=4)
+    with recording() as record:
+        assert evaluate(run, episodes=3, seed=4, controller="random").controller == "random"
+    assert record.noises == {"decision_noise"}
+    seeds = episode_seeds(record)
     rngs = [np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(2,)))) for seed in seeds]
     expected = np.array([rng.uniform(0, 2 * np.pi, 4) for rng in rngs])
     x, y = np.reshape(vectors, (4, 3, 2)).T  # [episode, decision]
@@ -282,14 +253,7 @@ def test_random_goals_are_drawn_for_every_decision_from_the_seed_of_the_episode(
     assert np.hypot(*np.concatenate(vectors).T) == pytest.approx(np.full(12, 4.0))
 
 
-@pytest.mark.parametrize(("controller", "noises"), [("trained", set()), ("random", {"decision_noise"})])
-def test_no_evaluation_has_exploration_noise(tiny_run, controller, noises):
+def test_the_evaluation_of_a_trained_controller_has_no_noise(tiny_run):
     with recording() as record:
-        evaluate(tiny_run, episodes=1, num_workers=1, controller=controller)
-    assert record.noises == noises
-
-
-def test_the_command_shows_the_controller(tiny_run, capsys):
-    assert evaluate(tiny_run, episodes=2).controller == "trained"
-    assert main(["evaluate", str(tiny_run), "--episodes", "2", "--controller", "constant", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["controller"].removeprefix("constant: ") in NAMES
+        assert evaluate(tiny_run, episodes=1).controller == "trained"
+    assert record.noises == set()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.errors import CheckpointError, ConfigError, PolicyError, ShapeError
+from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.runs.build import build_task
 from shes.runs.evaluate import evaluate, evaluation_seeds
 from shes.runs.folder import RunFolder
@@ -38,20 +38,7 @@ def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, observations
     assert (action.shape, action.dtype) == ((2,), np.float64)
     assert (np.abs(action) <= 1).all()
     assert agent.act(observations[:1, 0]).shape == (1, 2)
-    assert agent.act(observations[0, 0].tolist()).shape == (2,)
     assert list(tmp_path.iterdir()) == []  # it needs no noise table
-
-
-def test_actions_are_scaled_to_the_unit_box_whatever_the_robots_strength():
-    agent = load("ant-gather")
-    task = build_task(agent.config, 1, is_evaluation=True)
-    task.reset(np.arange(1), [1])
-    actions = []
-    for _ in range(20):
-        actions.append(agent.act(task.observe()[0]))
-        task.step(np.arange(1), actions[-1][None] * task.control_limit)
-    assert np.shape(actions) == (20, 8)
-    assert 0.1 < np.abs(actions).max() <= 1
 
 
 def test_every_environment_is_played_as_if_it_were_alone(tiny_run, observations):
@@ -94,19 +81,11 @@ def test_reset_sets_a_new_goal_at_the_next_step(tiny_run, observations):
         np.testing.assert_array_equal(agent.act(seen), new.act(seen))
 
 
-def test_checkpoints_are_different_agents(tiny_run, observations):
-    actions = [load(tiny_run, checkpoint=name).act(observations[0, 0]) for name in ("0", "2", "last")]
-    assert len({action.tobytes() for action in actions}) == 3
-
-
-@pytest.mark.parametrize("shape", [(), (5,), (2, 25), (1, 1, 25)])
-def test_an_observation_of_another_shape_is_refused(tiny_run, shape):
-    message = rf"must have shape \(25,\) or \(1, 25\), got {re.escape(str(shape))}\. .*trained on point-gather"
-    with pytest.raises(ShapeError, match=message):
-        load(tiny_run).act(np.zeros(shape))
-
-
 def test_wrong_arguments_are_refused(tiny_run):
+    for shape in ((), (5,), (2, 25), (1, 1, 25)):
+        message = rf"must have shape \(25,\) or \(1, 25\), got {re.escape(str(shape))}\. .*trained on point-gather"
+        with pytest.raises(ShapeError, match=message):
+            load(tiny_run).act(np.zeros(shape))
     agent = load(tiny_run, num_envs=2)
     with pytest.raises(ShapeError, match=r"or \(2, 25\), got \(25,\).*num_envs"):
         agent.act(np.zeros(25))
@@ -115,41 +94,17 @@ def test_wrong_arguments_are_refused(tiny_run):
     for wrong in (-1, 2):
         with pytest.raises(ConfigError, match=f"env must be from 0 to 1, got {wrong}"):
             agent.reset(wrong)
-    with pytest.raises(CheckpointError, match="there is no checkpoint"):
-        load(tiny_run, checkpoint="99")
-
-
-def test_an_agent_plays_in_gymnasiums_environments_single_and_vector(tiny_run):
-    env = gymnasium.make("shes/PointGather-v0", max_episode_steps=30)
-    vector = gymnasium.make_vec("shes/PointGather-v0", num_envs=2, max_episode_steps=30)
-    agent, agents = load(tiny_run), load(tiny_run, num_envs=2)
-    observation, _ = env.reset(seed=4)
-    observations, _ = vector.reset(seed=4)
-    for _ in range(30):
-        observation, _, _, truncated, info = env.step(agent.act(observation))
-        observations, _, _, all_truncated, infos = vector.step(agents.act(observations))
-        np.testing.assert_allclose(observation, observations[0], atol=1e-6)
-    assert truncated
-    assert all_truncated.all()
-    assert info["score"] == infos["score"][0]
 
 
 # Runs of one level, and what else an agent may observe.
 
 PLAYED = {
-    "flat": ("point-gather", {"algorithm": "es"}),
     "flat with clock": ("point-maze", {"algorithm": "es", "clock_frequency": 0.8}),
-    "flat on flags": ("point-flagrun", {"algorithm": "es", "controller_interval": 7}),
     "primitive alone": ("point-flagrun", {"controller_interval": 7, "goal_distance": 2.5}),
-    "primitive with clock": (
-        "point-flagrun",
-        {"clock_frequency": 0.8, "primitive_view": "proprioception", "goal_encoding": "unit_vector"},
-    ),
     "ant's primitive": ("ant-flagrun", {"controller_interval": 7, "population_size": 4}),
     "one-hot controller": ("point-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
     "controller and clock": ("point-push", {"clock_frequency": 0.8, "controller_interval": 6}),
 }
-QUICK = ("flat with clock", "primitive alone", "one-hot controller")
 
 
 @pytest.fixture(scope="module")
@@ -177,9 +132,7 @@ def gymnasium_env(config):
     )
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind in QUICK else [pytest.mark.slow]) for kind in PLAYED]
-)
+@pytest.mark.parametrize("kind", PLAYED)
 def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
     path = played(kind)
     expected = evaluate(path, episodes=3, num_workers=1, seed=11)
@@ -193,7 +146,7 @@ def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
             observation, reward, terminated, truncated, _ = env.step(agent.act(observation))
             total, is_over = total + float(reward), terminated or truncated
         assert total == pytest.approx(earned, rel=1e-6, abs=1e-6)
-    assert len(set(expected.returns)) > 1 or kind == "flat"  # whose reward is sparse
+    assert len(set(expected.returns)) > 1
     assert (agent.goal is None) == kind.startswith("flat")
 
 
@@ -211,16 +164,16 @@ def test_a_primitive_alone_reads_the_goal_that_its_environment_sets(played, kind
     assert len(goals) == -(-agent.config.episodes.evaluation_horizon // agent.config.hierarchy.controller_interval)
 
 
-@pytest.mark.parametrize("kind", ["flat", "flat with clock", "primitive with clock", "controller and clock"])
+@pytest.mark.parametrize("kind", ["flat with clock", "controller and clock"])
 def test_the_clock_runs_with_the_calls_and_begins_anew_at_a_reset(played, kind):
     agent = load(played(kind), num_envs=2)
     seen = np.full((2, agent.observation_size), 0.3)
     first, second = agent.act(seen), agent.act(seen)
-    assert np.array_equal(first, second) == (kind == "flat")  # nothing else has changed
+    assert not np.array_equal(first, second)  # nothing else has changed
     agent.reset(1)
     third = agent.act(seen)
     np.testing.assert_array_equal(third[1], first[1])
-    assert np.array_equal(third[0], first[0]) == (kind == "flat")
+    assert not np.array_equal(third[0], first[0])
 
 
 @pytest.mark.parametrize("copied", [lambda agent: pickle.loads(pickle.dumps(agent)), copy.copy])  # noqa: S301 - our own
@@ -241,7 +194,7 @@ def test_an_agent_is_pickled_and_copied_with_its_running_episodes(tiny_run, run,
 
 
 def test_an_agent_shows_parameters_and_statistics_of_every_level(tiny_run):
-    agent, levels = load(tiny_run), runs.state(tiny_run, "best").levels
+    agent, levels = load(tiny_run, checkpoint="2"), runs.state(tiny_run, "2").levels
     assert list(agent.parameters) == list(agent.statistics) == ["controller", "primitive"]
     for level in levels:
         np.testing.assert_array_equal(agent.parameters[level.name], level.theta)

@@ -9,7 +9,7 @@ from shes.cli import main
 from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, UnknownNameError, WorkerError
 from shes.runs.folder import RunFolder
 from shes.runs.progress_display import ProgressDisplay
-from shes.runs.runs_folder import RunsFolder, find_runs, read_sweep, vary
+from shes.runs.runs_folder import find_runs, read_sweep, vary
 from tests.e2e import runs
 
 SEVERAL = {name: value for name, value in runs.TINY.items() if name != "seed"}
@@ -32,123 +32,100 @@ def refused(capsys, *words):
     return " ".join(capsys.readouterr().err.split())
 
 
-def test_each_seed_is_an_ordinary_run(tmp_path, tiny_run, capsys):
-    assert train(tmp_path / "all", "--seed", "5", "6") == 0
-    assert generations(tmp_path / "all") == {"seed-5": 4, "seed-6": 4}
-    assert runs.differences(tiny_run, tmp_path / "all" / "seed-5") == []
-    assert RunFolder(tmp_path / "all" / "seed-6").read_config().run.seed == 6
-    assert "Done: 2 runs" in capsys.readouterr().out
-
-
-def test_one_seed_is_a_run_as_before(tmp_path, tiny_run):
-    assert train(tmp_path / "one", "--seed", "5") == 0
-    assert runs.differences(tiny_run, tmp_path / "one") == []
-    assert not RunsFolder.is_at(tmp_path / "one")
-
-
-def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path):
-    words = ["--sweep", "sigma=0.02,0.5", "--sweep", "hidden=none,3x2", "--seed", "1", "2"]
-    assert train(tmp_path / "all", *words, generations=1) == 2  # hidden is given as well
-    settings = {name: value for name, value in SEVERAL.items() if name != "hidden"}
-    flags = runs.flags(**{**settings, "generations": 1}, out=tmp_path / "all")
-    assert main(["train", "point-gather", *flags, *words]) == 0
-    found = generations(tmp_path / "all")
-    assert set(found.values()) == {1}
-    assert list(found)[:3] == [
-        "sigma-0.02_hidden-3x2/seed-1",
-        "sigma-0.02_hidden-3x2/seed-2",
-        "sigma-0.02_hidden-none/seed-1",
-    ]
-    assert len(found) == 8
-    config = RunFolder(tmp_path / "all" / "sigma-0.5_hidden-3x2" / "seed-2").read_config()
-    assert (config.evolution.sigma, config.networks.hidden, config.run.seed) == (0.5, (3, 2), 2)
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Folder of three runs of three generations that nothing happened to. Not to be changed."""
+    """Folder of three runs that nothing happened to. Not to be changed."""
     path = tmp_path_factory.mktemp("whole") / "all"
-    assert train(path, "--seed", "4", "5", "6", generations=3) == 0
+    assert train(path, "--seed", "4", "5", "6") == 0
     return path
 
 
-@pytest.mark.parametrize("again", ["the same command", "resume"])
-def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole, monkeypatch, capsys, again):
-    path, words = tmp_path / "all", ("--seed", "4", "5", "6")
-    heard = []
+def test_each_seed_is_an_ordinary_run(whole, tiny_run, tmp_path):
+    assert generations(whole) == {"seed-4": 4, "seed-5": 4, "seed-6": 4}
+    assert train(tmp_path / "one", "--seed", "5") == 0  # no folder of runs
+    for path in (tmp_path / "one", whole / "seed-5"):
+        assert runs.differences(tiny_run, path) == []
+    assert RunFolder(whole / "seed-6").read_config().run.seed == 6
+
+
+def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path, capsys):
+    words = ["--sweep", "sigma=0.02,0.5", "--sweep", "controller_interval=7,9", "--seed", "1", "2"]
+    assert train(tmp_path / "all", *words, generations=1) == 0
+    assert "Done: 8 runs" in capsys.readouterr().out
+    found = generations(tmp_path / "all")
+    assert set(found.values()) == {1}
+    assert list(found)[:3] == [
+        "sigma-0.02_controller-interval-7/seed-1",
+        "sigma-0.02_controller-interval-7/seed-2",
+        "sigma-0.02_controller-interval-9/seed-1",
+    ]
+    assert len(found) == 8
+    config = RunFolder(tmp_path / "all" / "sigma-0.5_controller-interval-7" / "seed-2").read_config()
+    assert (config.evolution.sigma, config.hierarchy.controller_interval, config.run.seed) == (0.5, 7, 2)
+
+
+def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole, monkeypatch, capsys):
+    path, words, heard = tmp_path / "all", ("--seed", "4", "5", "6"), []
 
     def interrupt(display, row):
         heard.append(row["generation"])
-        if len(heard) == 5:  # in the second run
+        if len(heard) in (6, 9):  # in the second run, in the third run
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(ProgressDisplay, "on_generation", interrupt)
-        assert train(path, *words, generations=3) == 130
-    assert generations(path) == {"seed-4": 3, "seed-5": 2}
-    assert f"Go on: shes resume {path}\n" in capsys.readouterr().out
-    first = (path / "seed-4" / "log.txt").read_bytes()
-    assert (train(path, *words, generations=3) if again == "the same command" else main(["resume", str(path)])) == 0
+        assert train(path, *words) == 130
+        assert generations(path) == {"seed-4": 4, "seed-5": 2}
+        assert f"Go on: shes resume {path}\n" in capsys.readouterr().out
+        first = (path / "seed-4" / "log.txt").read_bytes()
+        assert train(path, *words) == 130  # the same command goes on, too
+        assert generations(path) == {"seed-4": 4, "seed-5": 4, "seed-6": 1}
+    assert main(["resume", str(path)]) == 0
     assert (path / "seed-4" / "log.txt").read_bytes() == first
     for name in ("seed-4", "seed-5", "seed-6"):
         assert runs.differences(whole / name, path / name) == []
-    assert train(path, *words, generations=3) == 0  # nothing is left
+    assert train(path, *words) == 0  # nothing is left
     assert "all 3 runs of" in refused(capsys, "resume", path)
 
 
-def test_a_folder_goes_on_with_more_generations_and_more_seeds(tmp_path):
+def test_a_folder_goes_on_with_more_generations_seeds_and_minutes(tmp_path, capsys):
     path = tmp_path / "all"
     assert train(path, "--seed", "4", "5", generations=1) == 0
     assert main(["resume", str(path), "--generations", "2"]) == 0
     assert generations(path) == {"seed-4": 2, "seed-5": 2}
     assert train(path, "--seed", "5", "6", generations=3) == 0
     assert generations(path) == {"seed-4": 2, "seed-5": 3, "seed-6": 3}
-
-
-def test_minutes_are_those_of_each_run_and_one_whose_time_is_up_has_ended(tmp_path, capsys):
-    path = tmp_path / "all"
-    assert train(path, "--seed", "4", "5", generations=1) == 0
     record = json.loads((path / "runs.json").read_text())
     for config in record["runs"].values():
-        config["run"] |= {"minutes": 1e-9, "generations": 3}
+        config["run"] |= {"minutes": 1e-9, "generations": 4}
     (path / "runs.json").write_text(json.dumps(record))
-    assert f"have ended. To go on: shes resume {path} --minutes 1e-09" in refused(capsys, "resume", path)
+    for table in path.glob("*/progress.csv"):  # as if each run had taken an hour
+        *rows, last = table.read_text().splitlines()
+        cells = last.split(",")
+        table.write_text("\n".join([*rows, ",".join([*cells[:2], "3600.0", *cells[3:]])]) + "\n")
+    assert f"have ended. To go on: shes resume {path} --minutes" in refused(
+        capsys, "resume", path
+    )  # minutes are those of each run
     assert main(["resume", str(path), "--minutes", "10"]) == 0
-    assert generations(path) == {"seed-4": 3, "seed-5": 3}
+    assert set(generations(path).values()) == {4}
 
 
-@pytest.mark.parametrize("error", [PolicyError, WorkerError, DivergenceError])
-def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys, error):
+def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys):
+    errors = {"seed-4": PolicyError, "seed-5": WorkerError, "seed-6": DivergenceError}
+
     def fail(display, row):
-        if display.path.name == "seed-4":
+        if error := errors.get(display.path.name):
             raise error("the policy returned NaN")
 
     with monkeypatch.context() as patch:
         patch.setattr(ProgressDisplay, "on_generation", fail)
-        assert train(tmp_path / "all", "--seed", "4", "5", generations=2) == 1
+        assert train(tmp_path / "all", "--seed", "4", "5", "6", "7", generations=2) == 1
     said = capsys.readouterr().err
-    assert "seed-4 failed: the policy returned NaN" in said
-    assert "1 of 2 runs failed" in said
-    assert generations(tmp_path / "all") == {"seed-4": 1, "seed-5": 2}
+    assert all(f"{name} failed: the policy returned NaN" in said for name in errors)
+    assert "3 of 4 runs failed" in said
+    assert generations(tmp_path / "all") == {**dict.fromkeys(errors, 1), "seed-7": 2}
     assert main(["resume", str(tmp_path / "all")]) == 0
-    assert generations(tmp_path / "all") == {"seed-4": 2, "seed-5": 2}
-
-
-def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path, capsys):
-    path = tmp_path / "all"
-    assert train(path, "--seed", "4", "5", generations=1) == 0
-    record = (path / "runs.json").read_bytes()
-    again = ["train", "point-gather", *runs.flags(**SEVERAL, out=path), "--seed", "4", "5", "6"]
-    assert "has run seed-4 with other settings: sigma is 0.07 there, not 0.5" in refused(
-        capsys, *again, "--sigma", "0.5"
-    )
-    with RunFolder(path).lock():
-        assert "is in use" in refused(capsys, *again)
-    assert (path / "runs.json").read_bytes() == record
-    assert "is a run folder: several runs need a folder of their own" in refused(
-        capsys, *again[:-6], "--out", path / "seed-4", "--seed", "4", "5"
-    )
-    assert "is a file" in refused(capsys, *again, "--out", path / "runs.json")
+    assert set(generations(tmp_path / "all").values()) == {2}
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +134,22 @@ def begun(tmp_path_factory):
     path = tmp_path_factory.mktemp("begun") / "all"
     assert train(path, "--seed", "4", "5", minutes=1e-9) == 0
     return path
+
+
+def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(begun, capsys):
+    record = (begun / "runs.json").read_bytes()
+    again = ["train", "point-gather", *runs.flags(**SEVERAL)]
+    more = ("--out", begun, "--seed", "4", "5", "6")
+    assert "has run seed-4 with other settings: sigma is 0.07 there, not 0.5" in refused(
+        capsys, *again, *more, "--sigma", "0.5"
+    )
+    with RunFolder(begun).lock():
+        assert "is in use" in refused(capsys, *again, *more)
+    assert (begun / "runs.json").read_bytes() == record
+    assert "is a run folder: several runs need a folder of their own" in refused(
+        capsys, *again, "--out", begun / "seed-4", "--seed", "4", "5"
+    )
+    assert "is a file" in refused(capsys, *again, "--out", begun / "runs.json", "--seed", "4", "5")
 
 
 @pytest.mark.parametrize(
@@ -217,12 +210,12 @@ def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
     assert "seed 1 is given twice" in refused(capsys, *base, "--seed", "1", "1")
     assert "seed needs at least one value" in refused(capsys, *base, "--seed")
     assert "sigma is both given and swept" in refused(capsys, *base, "--sigma", "1", "--sweep", "sigma=1,2")
+    for words in ((), ("--seed", "1", "2")):
+        assert "out must be the path of a folder, got ''" in refused(capsys, *base[:-2], *words, "--out", "")
     assert "seed must be" in refused(capsys, *base, "--seed", "1", "-2")
     for name, message in (("population-size", "GB are free. Lower"), ("noise-table-size", "noise_table_size is ")):
         sweep = ["--sweep", f"{name}=8,{10**15}", "--workers", "1"]
         assert message in refused(capsys, *base[:4], "--out", tmp_path / "all", *sweep)
-    for words in ((), ("--seed", "1", "2")):
-        assert "out must be the path of a folder, got ''" in refused(capsys, *base[:-2], *words, "--out", "")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -245,7 +238,7 @@ def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
         find_runs(tmp_path / "other.json")
 
 
-@pytest.mark.parametrize("command", ["evaluate", "info", "render"])
+@pytest.mark.parametrize("command", ["evaluate", "render"])
 def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command):
     experiment = tmp_path / "experiment"
     names = [f"point-gather/methods/published/seed-{seed}" for seed in (2, 10)]

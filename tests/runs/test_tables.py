@@ -1,9 +1,7 @@
 """Tables and TensorBoard events: numbers are bit-identical when read back, and rows whole; nothing is written twice."""
 
 import csv
-import errno
 import math
-import os
 import struct
 
 import numpy as np
@@ -12,11 +10,8 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 import shes
-from shes.errors import RunFolderError, StorageError
-from shes.runs.folder import RunFolder
-from shes.runs.tables import CsvTable, last_value, read_csv, trained_minutes
-from shes.runs.tensorboard import Events
-from shes.viewing.plot import plot
+from shes.errors import RunFolderError
+from shes.runs.tables import CsvTable, read_csv
 from tests.e2e import runs
 
 VALUES = [0.1 + 0.2, 1e-310, -0.0, 1.7976931348623157e308, math.inf, math.nan, 2.0**53 + 2]
@@ -36,25 +31,24 @@ def test_numbers_read_back_bit_identically(tmp_path):
     assert np.array(read_csv(tmp_path / "a.csv")["x"]).tobytes() == np.array(VALUES).tobytes()
 
 
-@pytest.mark.parametrize("more", ["", "5", "5,", "5,0.3", "5,0.3\n", "5,0.3\n6,0.1\n7"])
-def test_rows_after_the_checkpoint_are_dropped_however_they_end(tmp_path, more):
+def test_rows_after_the_checkpoint_are_dropped_however_they_end(tmp_path):
     path = tmp_path / "a.csv"
     whole = fill(path, 4)
     assert whole.startswith("generation,x\n1,0.333")
-    with path.open("a") as file:
-        file.write(more)
-    CsvTable(path, 4)
-    assert path.read_text() == whole
+    for more in ("", "5", "5,", "5,0.3", "5,0.3\n", "5,0.3\n6,0.1\n7", "1"):  # the last of 10, cut off
+        path.write_text(whole + more)
+        CsvTable(path, 4)
+        assert path.read_text() == whole
 
 
-@pytest.mark.parametrize("length", range(0, 40, 3))
-def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, length):
+def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
     """Half a header counts as none; half a row is of a generation that no checkpoint has."""
     path = tmp_path / "a.csv"
     whole = fill(path, 4)
-    path.write_text(whole[:length])
-    kept = max(0, whole[:length].count("\n") - 1)
-    assert fill(path, 4, first=kept + 1, keep=kept) == whole
+    for length in range(len(whole)):
+        path.write_text(whole[:length])
+        kept = max(0, whole[:length].count("\n") - 1)
+        assert fill(path, 4, first=kept + 1, keep=kept) == whole
 
 
 def test_a_last_row_without_the_end_of_its_line_is_not_read(tmp_path):
@@ -69,39 +63,38 @@ def test_a_last_row_without_the_end_of_its_line_is_not_read(tmp_path):
 
 
 TABLES = {
-    "binary": b"\xff\xfe\x00" * 50,
-    "endless number": b"generation,x\n" + b"9" * 5000 + b",1\n",
-    "endless field": b'generation,x\n1,"' + b"a" * 200_000 + b'"\n',
-    "words": b"generation,x\n1,abc\n2,0\n",
+    "binary": ("progress", b"\xff\xfe\x00" * 50),
+    "endless number": ("evaluation", b"generation,x\n" + b"9" * 5000 + b",1\n"),
+    "endless field": ("progress", b'generation,x\n1,"' + b"a" * 200_000 + b'"\n'),
+    "words": ("evaluation", b"generation,x\n1,abc\n2,0\n"),
 }
 
 
-@pytest.mark.parametrize("name", ["progress", "evaluation"])
 @pytest.mark.parametrize("case", TABLES)
-def test_a_damaged_table_is_one_clear_error_and_kept(run_copy, name, case, tmp_path):
+def test_a_damaged_table_is_one_clear_error_and_kept(run_copy, case, tmp_path):
+    name, content = TABLES[case]
     path = run_copy / f"{name}.csv"
-    path.write_bytes(TABLES[case])
-    for go_on in (lambda: shes.resume(run_copy, generations=6), lambda: plot([run_copy], tmp_path / "curves.png")):
-        with pytest.raises(
-            RunFolderError, match=rf"{name}\.csv (cannot be read as a table of numbers|has no (row|column))"
-        ):
+    path.write_bytes(content)
+    message = rf"{name}\.csv (cannot be read as a table of numbers|has no (row|column))"
+    for go_on in (lambda: shes.resume(run_copy, generations=6), lambda: shes.plot(run_copy, tmp_path / "curves.png")):
+        with pytest.raises(RunFolderError, match=message):
             go_on()
-    assert path.read_bytes() == TABLES[case]
+    assert path.read_bytes() == content
 
 
 def cut_row(lines):
     return [*lines[:-1], ",".join(lines[-1].split(",")[:3])]
 
 
+def add_column(lines):
+    return [lines[0] + ",note", *(line + ",0" for line in lines[1:])]
+
+
 REFUSED = {
     "rows are missing": ("progress", lambda lines: lines[:-2], r"ends with generation 2, but the run has made 4: rows"),
     "a row is cut": ("evaluation", cut_row, r"row 3 below the header has 3 values for \d+ columns\."),
     "the file": ("evaluation", None, r"is missing, but the run has made 4 generations\. Restore it .*or make an empty"),
-    "a column": (
-        "progress",
-        lambda lines: [lines[0] + ",note", *(line + ",0" for line in lines[1:])],
-        "not write: note",
-    ),
+    "a column": ("progress", add_column, "not write: note"),
 }
 
 
@@ -142,84 +135,51 @@ def events(folder):
     return found
 
 
-def scalars(folder):
-    return [
-        (event.summary.value[0].tag, event.step, event.summary.value[0].simple_value)
-        for event in events(folder)
-        if event.summary.value and not event.summary.value[0].HasField("metadata")
-    ]
-
-
-def hyperparameters(folder):
-    """Return the hyperparameters of each session in a folder."""
-    contents = [value.metadata.plugin_data.content for event in events(folder) for value in event.summary.value]
-    data = [HParamsPluginData.FromString(content) for content in contents if content]
-    return [each.session_start_info.hparams for each in data if each.HasField("session_start_info")]
-
-
-def test_a_hierarchical_run_has_a_dozen_charts_without_values_that_are_not_finite(tmp_path):
+def test_a_hierarchical_run_has_a_dozen_finite_charts(tmp_path):
     path = runs.train_tiny(tmp_path / "run", "point-maze", perturbation="one_to_many")
-    found = scalars(path / "tensorboard")
-    assert {tag for tag, _, _ in found} == {
+    found = {}
+    for event in events(path / "tensorboard"):
+        for value in event.summary.value:
+            if not value.HasField("metadata"):
+                found.setdefault(value.tag, {})[event.step] = value.simple_value
+    levels = [f"{level}_{name}" for level in ("controller", "primitive") for name in ("halves_cosine", "update_ratio")]
+    assert found.keys() == {
+        *(f"evaluation/{name}" for name in ("return_mean", "score_mean", "success_rate")),
+        *(f"training/{name}" for name in ("controller_return_mean", "primitive_return_mean", "score_mean")),
+        *(f"update/{name}" for name in levels),
         "episodes/episode_steps_mean",
-        "evaluation/return_mean",
-        "evaluation/score_mean",
-        "evaluation/success_rate",
         "speed/env_steps_per_s",
-        "training/controller_return_mean",
-        "training/primitive_return_mean",
-        "training/score_mean",
-        "update/controller_halves_cosine",
-        "update/controller_update_ratio",
-        "update/primitive_halves_cosine",
-        "update/primitive_update_ratio",
     }
-    assert all(math.isfinite(value) for _, _, value in found)
-    assert {step for tag, step, _ in found if tag == "training/score_mean"} == {1, 2, 3, 4}
-    # The levels are perturbed in turns: a level that was not has no gradient.
-    assert {step for tag, step, _ in found if tag == "update/controller_update_ratio"} == {1, 3}
+    assert all(math.isfinite(value) for chart in found.values() for value in chart.values())
     table = read_csv(path / "progress.csv")
+    expected = dict(zip(table["generation"], table["controller_return_mean"], strict=True))
+    assert found["training/controller_return_mean"] == pytest.approx(expected)
+    # The levels are perturbed in turns: a level that was not has no gradient.
+    assert found["update/controller_update_ratio"].keys() == {1, 3}
     assert [math.isnan(value) for value in table["primitive_gradient_norm"]] == [True, False, True, False]
 
 
-def test_hyperparameters_are_written_once_and_a_resumed_run_hides_what_it_does_again(run_copy):
-    shes.resume(run_copy, generations=5)
+def test_hyperparameters_are_written_once_and_a_resume_hides_what_it_repeats(run_copy, monkeypatch):
+    monkeypatch.setattr("time.time", lambda: 2e9)  # two parts may begin within a second
+    for generation in (5, 6):
+        shes.resume(run_copy, generations=generation)
+    assert len(list((run_copy / "tensorboard").iterdir())) == 3
     found = events(run_copy / "tensorboard")
-    assert [event.step for event in found if event.session_log.status == SessionLog.START] == [5]
-    (written,) = hyperparameters(run_copy / "tensorboard")
+    assert [event.step for event in found if event.session_log.status == SessionLog.START] == [5, 6]
+    contents = [value.metadata.plugin_data.content for event in found for value in event.summary.value]
+    sessions = [HParamsPluginData.FromString(content) for content in contents if content]
+    (written,) = (each.session_start_info.hparams for each in sessions if each.HasField("session_start_info"))
     assert (written["sigma"].number_value, written["env"].string_value) == (0.07, "point-gather")
     assert (written["hidden"].string_value, written["seed"].number_value) == ("[4]", 5)
-
-
-def test_parts_of_a_run_that_begin_within_a_second_have_files_of_their_own(tmp_path):
-    for generation in (0, 1):
-        written = Events(tmp_path / "events", generation, {})
-        written.add("progress", {"generation": generation + 1, "score_mean": generation + 0.5})
-        written.close()
-    assert len(list((tmp_path / "events").iterdir())) == 2
-    assert sorted(scalars(tmp_path / "events")) == [("training/score_mean", 1, 0.5), ("training/score_mean", 2, 1.5)]
-
-
-def test_a_full_disk_is_told_at_once(tmp_path, monkeypatch):
-    written = Events(tmp_path / "tensorboard", 0, {})
-
-    def full(*arguments):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr("tensorboardX.record_writer.RecordWriter.write", full)
-    with pytest.raises(StorageError, match=r"cannot write .*tensorboard: the disk is full"):
-        written.add("progress", {"generation": 1, "score_mean": 0.5})
-    written.close()
 
 
 # Columns and times of runs.
 
 
 def test_the_tables_of_a_run_have_the_columns_of_the_design(tiny_run):
-    with (tiny_run / "progress.csv").open(newline="") as file:
-        progress = next(csv.reader(file))
-    with (tiny_run / "evaluation.csv").open(newline="") as file:
-        evaluation = next(csv.reader(file))
+    progress, evaluation = (
+        next(csv.reader((tiny_run / f"{name}.csv").read_text().splitlines())) for name in ("progress", "evaluation")
+    )
     levels = [f"{level}_return_{kind}" for level in ("controller", "primitive") for kind in ("mean", "max")]
     assert progress[:8] == ["generation", "env_steps", "wall_time_s", "env_steps_per_s", *levels]
     assert evaluation[:6] == ["generation", "env_steps", "wall_time_s", "episodes", "score_mean", "score_std"]
@@ -228,7 +188,7 @@ def test_the_tables_of_a_run_have_the_columns_of_the_design(tiny_run):
     assert read_csv(tiny_run / "evaluation.csv")["generation"] == [1, 2, 4]
 
 
-def test_times_go_on_after_a_resume_and_that_of_an_evaluation_is_in_its_generations_row(run_copy):
+def test_times_go_on_after_a_resume_and_include_evaluations(run_copy):
     shes.resume(run_copy, generations=6)
     table = read_csv(run_copy / "progress.csv")
     for name in ("wall_time_s", "process_time_s"):
@@ -239,13 +199,16 @@ def test_times_go_on_after_a_resume_and_that_of_an_evaluation_is_in_its_generati
     assert 0 < evaluations["process_time_s"][0] <= table["process_time_s"][-1]
 
 
-def test_the_time_of_a_run_is_that_of_its_last_whole_row(run_copy):
+def test_the_time_of_a_run_goes_on_from_its_last_whole_row(run_copy):
     progress = run_copy / "progress.csv"
-    times = {name: read_csv(progress)[name][-1] for name in ("wall_time_s", "process_time_s")}
-    text = progress.read_text()
-    for cut in ("", "5,1200", text.splitlines()[-1]):  # as after a crash
-        progress.write_text(text + cut)
-        assert last_value(progress, "process_time_s") == times["process_time_s"]
-        assert trained_minutes(RunFolder(run_copy)) == times["wall_time_s"] / 60
-    progress.write_text("")
-    assert trained_minutes(RunFolder(run_copy)) == 0.0
+    *rows, last = progress.read_text().splitlines()
+    cells = dict(zip(rows[0].split(","), last.split(","), strict=True)) | {
+        "wall_time_s": "7200",
+        "process_time_s": "3600",
+    }
+    progress.write_text("\n".join([*rows, ",".join(cells.values()), "5,12"]))  # the last row is cut off
+    shes.resume(run_copy, generations=6)
+    table, evaluations = read_csv(progress), read_csv(run_copy / "evaluation.csv")
+    assert table["generation"] == [1, 2, 3, 4, 5, 6]
+    assert table["wall_time_s"][4] > 7200
+    assert 3600 < evaluations["process_time_s"][-1] < 7200

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import shes
 from shes.errors import ConfigError
-from shes.runs import recorder
 from shes.runs.evaluate import Evaluation
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.runs.train import resume, train
 from tests.e2e import runs
 
 
@@ -28,7 +27,7 @@ def find(monkeypatch):
             names = ("primitive_returns", "goals_reached", "successes", "steps", "diverged")
             return Evaluation(scores=zeros + score, returns=zeros + mean_return, **dict.fromkeys(names, zeros))
 
-        monkeypatch.setattr(recorder, "evaluate_state", evaluate)
+        monkeypatch.setattr("shes.runs.recorder.evaluate_state", evaluate)
 
     return prepare
 
@@ -44,24 +43,17 @@ def find(monkeypatch):
         ([(-3, 0), (-2, 0), (-9, 0)], 2),
     ],
 )
-def test_the_best_evaluation_is_kept(tmp_path, find, found, best):
+def test_the_best_evaluation_is_kept_also_over_a_resume(tmp_path, find, found, best):
     find(*found)
-    path = runs.train_tiny(tmp_path / "run")
+    path = runs.train_tiny(tmp_path / "run", generations=2)
+    run = shes.resume(path, generations=4)
+    assert run.best.generation == best
     folder = RunFolder.open(path)
-    assert folder.load("last").best.generation == best
     kept = folder.load("best")
     assert kept.generation == kept.best.generation == best
     if best != 1:  # every second generation is kept
         one, other = (runs.state(path, name).levels[0].theta for name in ("best", best))
         assert one.tobytes() == other.tobytes()
-
-
-def test_the_best_evaluation_is_remembered_over_a_resume(tmp_path, find):
-    find((3, 0), (1, 0))
-    path = runs.train_tiny(tmp_path / "run", generations=2)
-    find((2, 0))
-    assert resume(path, generations=4).best.generation == 1
-    assert RunFolder.open(path).load("best").generation == 1
 
 
 def test_training_evaluates_the_policies_that_it_stores(tiny_run):
@@ -71,24 +63,21 @@ def test_training_evaluates_the_policies_that_it_stores(tiny_run):
     best = folder.load("last").best
     ranked = sorted(zip(table["score_mean"], table["return_mean"], table["generation"], strict=True))
     assert ranked[-1] == (best.score, best.mean_return, best.generation)
-    assert folder.load("best").generation == best.generation
 
 
 def test_a_run_that_is_not_over_says_how_it_goes_on(tmp_path):
     path = tmp_path / "run"
-    stopped = train("point-gather", out=path, minutes=1e-9, **runs.TINY)
-    assert stopped.listing().parts[:2] == [
-        "Stopped: 0 of 4 generations, no evaluation yet.",
-        f"Go on: shes resume {path}",
-    ]
-    first, then = resume(path).listing().parts
+    stopped = shes.train("point-gather", out=path, minutes=1e-9, **runs.TINY)
+    go_on = ["Stopped: 0 of 4 generations, no evaluation yet.", f"Go on: shes resume {path}"]
+    assert stopped.listing().parts[:2] == go_on
+    first, then = shes.resume(path).listing().parts
     assert first.startswith("Done: 4 generations, best evaluation score")
     assert then.startswith("Next: ")
 
 
 def test_several_seeds_are_several_calls():
     with pytest.raises(ConfigError, match=r"seed must be one number, got \[1, 2\]: .* shes train ENV --seed 1 2 3"):
-        train("point-gather", preset="smoke", seed=[1, 2])
+        shes.train("point-gather", preset="smoke", seed=[1, 2])
 
 
 def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
@@ -107,62 +96,52 @@ def test_a_generation_is_on_the_disk_as_rows_then_checkpoints_then_last(tmp_path
         original(number)
 
     monkeypatch.setattr(os, "fsync", sync)
-    resume(path, generations=2)
+    shes.resume(path, generations=2)
     names = ("progress", "evaluation", "generation_000002", "last")
     ours = [name for name in synced if name in names]
     assert ours[2:] == list(names)  # the two tables are cut when the run goes on
 
 
-def test_a_run_ends_with_the_generation_that_reaches_its_environment_steps(tmp_path, tiny_run):
+def test_a_run_ends_with_the_generation_that_reaches_its_steps(tmp_path, tiny_run):
     path = runs.train_tiny(tmp_path / "run", env_steps=161)  # a generation has 160
-    state = runs.state(path, "last")
-    assert (state.generation, state.env_steps) == (2, 320)
+    assert (runs.state(path).generation, runs.state(path).env_steps) == (2, 320)
     with pytest.raises(ConfigError, match=r"made 320 environment steps, but --env-steps is 161\. .*--env-steps 640"):
-        resume(path)
-    assert resume(path, env_steps=10_000).generation == 4
+        shes.resume(path)
+    assert shes.resume(path, env_steps=10_000).generation == 4
     assert runs.differences(tiny_run, path) == []
-    with pytest.raises(ConfigError, match=r"made 4 generations, but --generations is 4\. .*--generations 8"):
-        resume(path)
 
 
 BRANCHES = {"primitive_view": "egocentric", "primitive_estimate": "interval", "controller_interval": 4, "horizon": 8}
-
-
-@pytest.mark.parametrize("settings", [{}, BRANCHES], ids=["episodes", "branches"])
-def test_a_row_has_the_steps_that_the_generation_made_and_the_time_that_it_took(tmp_path, settings):
-    path = runs.train_tiny(tmp_path / "run", **settings)
-    table = {name: np.array(values) for name, values in read_csv(path / "progress.csv").items()}
-    assert table["generation"].tolist() == [1, 2, 3, 4]
-    assert table["env_steps"][-1] == runs.state(path, "last").env_steps
-    seconds = np.diff(table["env_steps"], prepend=0) / table["env_steps_per_s"]
-    assert (seconds >= 0.999 * (table["rollout_s"] + table["update_s"]) - 1e-3).all()
-    assert (np.diff(table["wall_time_s"]) >= seconds[1:] + table["evaluation_s"][:-1] - 0.01).all()
-
-
 SHORT = "a branch has 12 steps, more than an episode (8): see --intervals"
 
 
-@pytest.mark.parametrize(("intervals", "told"), [(2, []), (3, [SHORT])])
-def test_a_run_warns_of_its_settings_when_it_begins_and_goes_on(tmp_path, intervals, told):
+@pytest.mark.parametrize(("settings", "told"), [({}, []), ({**BRANCHES, "intervals": 3}, [SHORT])])
+def test_a_row_has_steps_and_time_and_a_run_warns_of_its_settings(tmp_path, settings, told):
     heard = []
     listener = type("Ear", (), {"on_event": lambda _, event: heard.append(event)})()
-    path = runs.train_tiny(tmp_path / "run", generations=1, listener=listener, **BRANCHES, intervals=intervals)
+    path = runs.train_tiny(tmp_path / "run", **settings, generations=3, listener=listener)
     assert heard == told
     assert set(told) <= set(runs.log_lines(path))
-    resume(path, generations=2, listener=listener)
+    shes.resume(path, generations=4, listener=listener)
     assert heard == 2 * told
+    table = {name: np.array(values) for name, values in read_csv(path / "progress.csv").items()}
+    assert table["generation"].tolist() == [1, 2, 3, 4]
+    assert table["env_steps"][-1] == runs.state(path).env_steps
+    seconds = np.diff(table["env_steps"], prepend=0) / table["env_steps_per_s"]
+    assert (seconds >= 0.999 * (table["rollout_s"] + table["update_s"]) - 1e-3).all()
+    assert (np.diff(table["wall_time_s"]) >= seconds[1:] + table["evaluation_s"][:-1] - 0.01)[:2].all()
 
 
 def test_a_run_whose_workers_cannot_start_leaves_nothing(tmp_path, tiny_run, run_copy, monkeypatch):
     def refuse(*_):
         raise ConfigError("no cluster")
 
-    record = RunFolder(run_copy).config.read_bytes()
+    record = (run_copy / "config.json").read_bytes()
     monkeypatch.setattr("shes.runs.train.build_backend", refuse)
     with pytest.raises(ConfigError, match="no cluster"):
         runs.train_tiny(tmp_path / "new")
     with pytest.raises(ConfigError, match="no cluster"):
-        resume(run_copy, generations=5)
+        shes.resume(run_copy, generations=5)
     assert not (tmp_path / "new").exists()
-    assert RunFolder(run_copy).config.read_bytes() == record
+    assert (run_copy / "config.json").read_bytes() == record
     assert runs.differences(tiny_run, run_copy) == []

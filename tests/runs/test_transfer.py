@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 import shes
-from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, RunFolderError
 from shes.runs.build import build_algorithm
 from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
-from shes.runs.transfer import check_robot
 from tests.e2e import runs
 
 ANT = {
@@ -79,18 +77,18 @@ def values_of(path):
 
 # Primitives.
 
-TASKS = [
-    pytest.param(task, source, marks=[] if (task, source) in (("gather", "ant"), ("maze", "ant")) else pytest.mark.slow)
-    for task in ("gather", "maze", "push", "fall")
-    for source in ("ant", "ant of hiro")
-]
 
-
-@pytest.mark.parametrize(("task", "source"), TASKS)
+@pytest.mark.parametrize(
+    ("task", "source"),
+    [
+        ("gather", "ant"),
+        ("push", "ant of hiro"),
+        *(pytest.param(task, "ant", marks=pytest.mark.slow) for task in ("maze", "fall")),
+    ],
+)
 def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(sources, tmp_path, task, source):
     """Two policies are a whole population: only the controller is mirrored."""
-    spec = "hiro" if "hiro" in source else "shes"
-    path = tmp_path / "run"
+    spec, path = "hiro" if "hiro" in source else "shes", tmp_path / "run"
     runs.train_tiny(path, f"ant-{task}", primitive=str(sources(source)), generations=2, population_size=2, spec=spec)
     config = RunFolder.open(path).read_config()
     assert (config.hierarchy.primitive_view, config.hierarchy.primitive_hidden) == ("proprioception", (5,))
@@ -107,24 +105,17 @@ def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(source
     assert np.isnan(read_csv(path / "progress.csv")["primitive_gradient_norm"]).all()
 
 
-def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path):
+def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path, tiny_run):
     settings = {"primitive": str(sources("point")), "freeze_primitive": False}
     path = runs.train_tiny(tmp_path / "run", **settings, generations=2)
     brought, start, end = level(sources("point"), "best"), level(path, "0"), level(path, "last")
     assert same(start, brought)
+    assert same(level(path, "0", "controller"), level(tiny_run, "0", "controller"))  # as it begins without
     assert not np.array_equal(end.theta, brought.theta)
     assert end.statistics.count == brought.statistics.count + 2 * 8 * 20
     assert (start.optimizer.steps, end.optimizer.steps) == (0, 2)
     with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
         runs.train_tiny(tmp_path / "other", **settings, population_size=2)
-
-
-@pytest.mark.slow
-def test_the_controller_begins_as_it_would_without(sources, tmp_path):
-    alone = runs.train_tiny(tmp_path / "alone", generations=1)
-    path = runs.train_tiny(tmp_path / "run", primitive=str(sources("plain")), generations=1)
-    one, other = (level(run, "0", "controller") for run in (alone, path))
-    assert one.theta.tobytes() == other.theta.tobytes()
 
 
 def test_a_primitive_brings_what_it_was_trained_with(sources, tmp_path):
@@ -161,26 +152,6 @@ def test_a_walker_may_learn_on_upon_branches(sources, tmp_path):
     assert not np.array_equal(level(path, "last").theta, level(sources("walker"), "best").theta)
 
 
-@pytest.mark.parametrize("checkpoint", ["last", "1"])
-def test_any_checkpoint_of_the_run_may_be_brought(sources, tmp_path, checkpoint):
-    words = ["train", "point-push", *runs.flags(**runs.TINY), "--generations", "1", "--out", str(tmp_path / "run")]
-    given = ["--primitive", str(sources("plain")), "--primitive-checkpoint", checkpoint, "--no-freeze-primitive"]
-    assert main([*words, *given]) == 0
-    values = values_of(tmp_path / "run")
-    assert (values["primitive_checkpoint"], values["freeze_primitive"]) == (checkpoint, False)
-    assert same(level(tmp_path / "run", "0"), level(sources("plain"), checkpoint))
-    assert not same(level(sources("plain"), "last"), level(sources("plain"), "1"))
-
-
-@pytest.mark.slow
-def test_one_that_saw_the_robot_alone_serves_every_task(tmp_path):
-    chain = runs.train_tiny(tmp_path / "source", "point-push", primitive_view="proprioception", generations=1)
-    first = level(chain, "best")
-    for task in ("point-gather", "point-maze"):  # and a run that was begun with it can be the next one's source
-        chain = runs.train_tiny(tmp_path / task, task, primitive=str(chain), generations=1)
-        assert same(level(chain, "best"), first)
-
-
 def test_the_primitive_of_a_run_with_a_controller_serves_the_same_task(sources, tmp_path):
     path = runs.train_tiny(tmp_path / "run", "point-push", primitive=str(sources("two levels")), generations=1)
     assert values_of(path).items() >= {"primitive_view": "observation", "primitive_hidden": (3,)}.items()
@@ -203,19 +174,15 @@ def test_a_controller_brings_its_parameters_statistics_and_settings(sources, tmp
     origin = {"run": str(source), "env": "point-gather", "checkpoint": "best", "generation": best}
     assert record["controller"].items() >= origin.items()
     assert record["primitive"]["run"] == str(plain)
-
-
-def test_what_a_controller_suggests_may_be_asked_for_otherwise(sources):
     other = {"controller_interval": 9, "goal_distance": 3.0, "minimum_goal_distance": True}
-    found = make_config("point-gather", "smoke", {"controller": str(sources("controller")), **other})
-    assert found.values.items() >= {**BY_CONTROLLER, **other}.items()
+    found = make_config("point-gather", "smoke", {"controller": str(source), **other})
+    assert found.values.items() >= {**BY_CONTROLLER, **other}.items()  # what it suggests may be asked for otherwise
 
 
 def test_an_equivariant_controller_brings_its_network(tmp_path):
     network = {"controller_network": "equivariant", "controller_view": "sectors"}
-    source = runs.train_tiny(
-        tmp_path / "source", **network, controller_output="heading_direction", generations=1
-    )  # fmt: skip
+    given = {**network, "controller_output": "heading_direction"}
+    source = runs.train_tiny(tmp_path / "source", **given, generations=1)
     path = runs.train_tiny(tmp_path / "run", controller=str(source), generations=1)
     assert values_of(path).items() >= network.items()
     assert same(level(path, "0", "controller"), level(source, "best", "controller"))
@@ -249,16 +216,13 @@ def test_what_contradicts_the_level_is_refused(sources, tmp_path, source, env, n
 
 OTHER_ROBOT = "it was trained on ant-flagrun for the ant with 8 controls of up to 30, but .* has {}"
 MISFITS = {
+    # The level's run; the environment; further settings; the message.
     "another robot": ("ant", "point-gather", {}, OTHER_ROBOT.format("the point with 2 controls of up to 1")),
     "another robot's walker": ("walker", "point-gather", {}, OTHER_ROBOT.format("the point with 2 controls of up to")),
+    "an external robot": ("walker", "gymnasium:shes/PointMaze-v0", {}, OTHER_ROBOT.format("an external robot")),
     "another task": ("two levels", "point-gather", {}, r"\nIt was trained on point-push: .*\nHere there is: "),
     "another specification": ("ant", "ant-gather", {"spec": "hiro"}, r"of specification shes and 8(.|\n)*on hiro and"),
-    "a height": (
-        "point",
-        "point-fall",
-        {},
-        r"9 inputs \((.|\n)*trained with the same --spec by shes train ant-flagrun",
-    ),
+    "a height": ("point", "point-fall", {}, r"9 inputs \((.|\n)*with the same --spec by shes train ant-flagrun"),
     "another controller": ("controller", "point-maze", {}, r"It was trained on point-gather: "),
 }
 
@@ -272,48 +236,22 @@ def test_a_level_that_does_not_fit_is_refused_by_saying_why(sources, tmp_path, c
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_external_robot_cannot_have_an_egocentric_primitive():
-    config = make_config("gymnasium:shes/PointMaze-v0", "smoke", {"primitive": "ant-walker"})
-    with pytest.raises(ConfigError, match=r"of ant-walker does not fit .* for the ant .* has an external robot"):
-        check_robot(config)
-
-
-def test_a_run_without_the_level_is_refused(sources, tmp_path):
-    flat = runs.train_tiny(tmp_path / "flat", algorithm="es", generations=1)
-    for message, env, settings in (
-        (
-            rf"{flat} has no primitive: its levels are policy\. Name a run with --prim",
-            "point-gather",
-            {"primitive": flat},
-        ),
-        ("has no controller: its levels are primitive", "point-gather", {"controller": sources("plain")}),
-        (
-            r"controller is not a setting of a run of point-flagrun .*Omit --controller",
-            "point-flagrun",
-            {"controller": flat},
-        ),
-    ):
-        with pytest.raises(ConfigError, match=message):
-            runs.train_tiny(tmp_path / "run", env, **{name: str(path) for name, path in settings.items()})
-
-
-def test_a_source_that_is_not_there_or_damaged_is_refused(sources, tmp_path):
-    source = shutil.copytree(sources("plain"), tmp_path / "source")
-    (tmp_path / "empty").mkdir()
-
-    def refused(kind, message, path=source, **settings):
-        with pytest.raises(kind, match=message):
-            runs.train_tiny(tmp_path / "run", primitive=str(path), **settings)
+def test_a_source_without_the_level_or_damaged_is_refused(sources, tmp_path):
+    def refused(error, message, **settings):
+        with pytest.raises(error, match=message):
+            runs.train_tiny(tmp_path / "run", **settings)
         assert not (tmp_path / "run").exists()
 
-    refused(RunFolderError, "gone does not exist", tmp_path / "gone")
-    refused(RunFolderError, r"is not a run folder: it has no config\.json", tmp_path / "empty")
+    plain, flat = sources("plain"), runs.train_tiny(tmp_path / "flat", algorithm="es", generations=1)
+    refused(ConfigError, rf"{flat} has no primitive: its levels are policy\. Name a run with --prim", primitive=flat)
+    refused(ConfigError, "has no controller: its levels are primitive", controller=plain)
+    source = shutil.copytree(plain, tmp_path / "source")
     message = r"no checkpoint .*source.*000077\.npz\. There are: best, generation_000000, .*Choose one"
-    refused(CheckpointError, message, primitive_checkpoint="77")
+    refused(CheckpointError, message, primitive=source, primitive_checkpoint="77")
     (source / "checkpoints" / "best.npz").write_bytes(b"PK")
-    refused(CheckpointError, r"best\.npz is not a whole SHES checkpoint")
+    refused(CheckpointError, r"best\.npz is not a whole SHES checkpoint", primitive=source)
     (source / "config.json").write_text("{")
-    refused(RunFolderError, r"config\.json cannot be read")
+    refused(RunFolderError, r"config\.json cannot be read", primitive=source)
 
 
 def test_a_run_needs_the_folder_of_its_primitive_no_more(sources, tmp_path):
