@@ -1,6 +1,6 @@
 """Evolution strategies as algorithms of a run: SHES, S-ES, and the primitive alone.
 
-`docs/algorithm.md` explains the columns of their tables.
+`docs/reference/columns.md` explains the columns of their tables.
 """
 
 from __future__ import annotations
