@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
 from tests.contracts.variants import VARIANTS
