@@ -71,13 +71,10 @@ def diary(tmp_path, monkeypatch):
     return read
 
 
-@pytest.mark.parametrize("spread", [SERIAL, PROCESSES])
-def test_every_environment_is_closed_and_there_are_few(diary, tmp_path, spread):
-    shes.train("gymnasium:UserClose-v0", out=tmp_path / "run", **SETTINGS, **spread, population_size=200)
+def test_every_environment_is_closed_and_there_are_few(diary, tmp_path):
+    shes.train("gymnasium:UserClose-v0", out=tmp_path / "run", **SETTINGS, **SERIAL, population_size=200)
     made, closed = diary()
-    assert len(closed) == len(made)  # though each raises when it is closed
-    pids = [pid for pid, _ in made]
-    assert max(pids.count(pid) for pid in set(pids)) <= 48  # those of training, evaluation and inspection
+    assert len(closed) == len(made) <= 48  # though each raises; those of training, evaluation and inspection
 
 
 @pytest.mark.parametrize(
@@ -104,7 +101,8 @@ def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
         shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, **SERIAL)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.extras)])
+@pytest.mark.extras
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch, number):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})
