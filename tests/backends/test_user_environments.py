@@ -28,7 +28,7 @@ class Env(gymnasium.Env):
             file.write(f"{what} {os.getpid()} {id(self)}\\n")
 
     def __init__(self, render_mode=None, fault=""):
-        self.fault, self.memory = fault, np.ones(4 * 10**7 if fault == "heavy" else 1)
+        self.fault, self.memory = fault, np.ones(10**7 if fault == "heavy" else 1)
         self.note("made")
 
     def reset(self, *, seed=None, options=None):
@@ -95,9 +95,9 @@ def test_an_error_names_the_line_of_the_users_code(diary, tmp_path, spread, faul
 
 
 def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
-    monkeypatch.setattr("shes.runs.build.free_memory", lambda: 10**9)
+    monkeypatch.setattr("shes.runs.build.free_memory", lambda: 3 * 10**8)
     assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, **SERIAL).generation == 2
-    with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 1\.0 GB are free"):
+    with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 0\.3 GB are free"):
         shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, **SERIAL)
 
 

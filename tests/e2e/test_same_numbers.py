@@ -176,7 +176,7 @@ METHODS = [
 ]
 QUICK = {
     ("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen"),
-    ("ant-gather", "walker"), ("point-push", "hiro"),
+    ("ant-gather", "walker"),
 }  # fmt: skip
 """These share enough with the others for every day."""
 

@@ -38,10 +38,10 @@ FIELDS = ("qpos", "qvel", "ctrl")
 over_models = pytest.mark.parametrize(("name", "spec"), VARIANTS)
 
 
-@pytest.fixture
-def make():
+@pytest.fixture(params=["euler", "rk4"])
+def make(request):
     """Return a function that makes a simulator of the ant, as the contract's tests expect."""
-    model = ant_model()
+    model = ant_model(request.param)
     return lambda num_sims=contract.NUM_SIMS: WarpCpu(model, num_sims)
 
 
