@@ -218,5 +218,6 @@ def test_workers_at_work_do_not_outlive_a_killed_parent(tmp_path):
         assert all(runs.is_alive(pid) for pid in pids)
     finally:
         parent.kill()
-        parent.communicate()
+        parent.wait()
+        parent.stdout.close()  # workers that were left would keep it open
     runs.assert_gone(parent.pid, pids)
