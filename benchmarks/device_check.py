@@ -21,7 +21,7 @@ from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.streams import Purpose, stream
 from shes.types import F64Array
 

@@ -34,7 +34,7 @@ from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
 from shes.runs.tables import csv_text
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
 from shes.storage import write_atomically

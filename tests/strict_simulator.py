@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from shes.sim.cpu import CpuSimulator
-from shes.sim.simulator import Simulator
+from shes.sim.simulator import CpuSimulator, Simulator
 from tests.strict_arrays import DeviceArray, strict_xp
 
 __all__ = ["DeviceSimulator"]

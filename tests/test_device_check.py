@@ -9,7 +9,7 @@ import pytest
 from benchmarks.device_check import ALPHA, POWER, compare_with_cpu, detectable_shift
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import UnknownNameError
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator
 
 SHORT = ("point-maze", "point-push", "ant-gather", "ant-push")

@@ -106,7 +106,7 @@ def test_a_cluster_without_a_free_cpu_is_told_of(monkeypatch):
 
     monkeypatch.setattr("shes.backends.ray.REPORTED_S", 0.05)
     with RayBackend(Worker, 1) as backend:
-        backend.on_event = hear
+        backend.on_event, backend.silence_limit_s = hear, 0.2  # a twentieth of a second between two looks
         with pytest.raises(HeardError, match=r"no worker has started yet: every CPU of the Ray cluster is taken"):
             list(backend.map([("add", 1)]))
 

@@ -28,7 +28,7 @@ class Env(gymnasium.Env):
             file.write(f"{what} {os.getpid()} {id(self)}\\n")
 
     def __init__(self, render_mode=None, fault=""):
-        self.fault, self.memory = fault, np.ones(4 * 10**7 if fault == "heavy" else 1)
+        self.fault, self.memory = fault, np.ones(10**7 if fault == "heavy" else 1)
         self.note("made")
 
     def reset(self, *, seed=None, options=None):
@@ -71,13 +71,10 @@ def diary(tmp_path, monkeypatch):
     return read
 
 
-@pytest.mark.parametrize("spread", [SERIAL, PROCESSES])
-def test_every_environment_is_closed_and_there_are_few(diary, tmp_path, spread):
-    shes.train("gymnasium:UserClose-v0", out=tmp_path / "run", **SETTINGS, **spread, population_size=200)
+def test_every_environment_is_closed_and_there_are_few(diary, tmp_path):
+    shes.train("gymnasium:UserClose-v0", out=tmp_path / "run", **SETTINGS, **SERIAL, population_size=200)
     made, closed = diary()
-    assert len(closed) == len(made)  # though each raises when it is closed
-    pids = [pid for pid, _ in made]
-    assert max(pids.count(pid) for pid in set(pids)) <= 48  # those of training, evaluation and inspection
+    assert len(closed) == len(made) <= 48  # though each raises; those of training, evaluation and inspection
 
 
 @pytest.mark.parametrize(
@@ -98,13 +95,14 @@ def test_an_error_names_the_line_of_the_users_code(diary, tmp_path, spread, faul
 
 
 def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
-    monkeypatch.setattr("shes.runs.build.free_memory", lambda: 10**9)
+    monkeypatch.setattr("shes.runs.build.free_memory", lambda: 3 * 10**8)
     assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, **SERIAL).generation == 2
-    with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 1\.0 GB are free"):
+    with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 0\.3 GB are free"):
         shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, **SERIAL)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.extras)])
+@pytest.mark.extras
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch, number):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from shes.sim.cpu import CpuSimulator
-from shes.sim.simulator import Simulator
+from shes.sim.simulator import CpuSimulator, Simulator
 from tests.sim.ants import ant_model
 
 SIMULATORS = {"cpu": CpuSimulator}

@@ -214,23 +214,16 @@ def unchecked(monkeypatch):
     monkeypatch.setattr("shes.evolution.strategies.check_arrays", lambda *_: None)
 
 
-@pytest.mark.parametrize(("level", "backend"), [("controller", "serial"), ("primitive", "processes")])
+@pytest.mark.parametrize("level", ["controller", "primitive"])
 @pytest.mark.usefixtures("unchecked")
-def test_a_policy_that_returns_nan_ends_a_run_that_stays_intact(refused, run_copy, level, backend):
+def test_a_policy_that_returns_nan_ends_a_run_that_stays_intact(refused, run_copy, level):
     spoil(run_copy / "checkpoints" / "last.npz", level)
     before = shutil.copytree(run_copy, run_copy.with_name("before"))
     message = r"policy of member \d+ returned NaN or infinity at step 0"
     message += ".*parameters of its primitive are not finite" if level == "primitive" else ""
-    words = ["--generations", "6", "--backend", backend, "--workers", "2"]
-    refused("resume", run_copy, *words, message=message, code=FAILED)
+    refused("resume", run_copy, "--generations", "6", message=message, code=FAILED)
     assert runs.differences(before, run_copy) == []
     assert not list(run_copy.rglob("*.part"))
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_evaluating_a_policy_that_returns_nan_fails(refused, run_copy):
-    spoil(run_copy / "checkpoints" / "best.npz")
-    refused("evaluate", run_copy, "--workers", "1", message=r"returned NaN or infinity", code=FAILED)
 
 
 # Disks.
@@ -376,16 +369,3 @@ def test_a_run_in_a_read_only_folder_can_be_evaluated_only(tmp_path, run_copy, t
     assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 2
     assert list(locked.iterdir()) == []
     assert runs.differences(tiny_run, run_copy) == []
-
-
-def test_a_read_only_file_system_is_an_error_with_its_fix(refused, monkeypatch):
-    def read_only(*arguments, **keywords):
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
-    monkeypatch.setattr(Path, "mkdir", read_only)
-    refused(*TRAIN, "--out", "run", message=r"cannot write run: the file system is read-only: .*--out")
-
-
-def test_a_picture_in_a_missing_folder_is_refused(refused, run_copy):
-    message = r"cannot write none/curves\.png: there is no such folder: create it first.*--out"
-    refused("plot", run_copy, "--out", "none/curves.png", message=message)

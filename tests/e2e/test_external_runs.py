@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium
@@ -17,7 +16,6 @@ import shes
 from shes.envs.named_environments import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.errors import ConfigError, ShesError
 from shes.runs.evaluate import evaluation_seeds
-from shes.runs.make_config import make_config
 from shes.streams import Purpose
 from shes.viewing.playback import watch
 from shes.viewing.render import render
@@ -147,18 +145,6 @@ def test_a_camera_that_there_is_not_is_refused(run, tmp_path):
         render(run.path, tmp_path / "walk.gif", camera="top")
 
 
-def test_an_environment_of_this_script_goes_to_the_workers(tmp_path):
-    """Registered in `__main__` alone: no worker could import it by name."""
-    script = tmp_path / "own.py"
-    text = (Path(__file__).parents[1] / "envs" / "external_envs.py").read_text()
-    script.write_text(
-        f"{text}\nimport shes\nshes.register_external('car', lambda: Car(), locate=lambda seen, _: seen['pose'])\n"
-        f"print(shes.train('car', out='run', **{ {**TINY, 'backend': 'processes', 'num_workers': 2}!r}).generation)\n"
-    )
-    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr, done.stdout) == (0, "", "2\n")
-
-
 @pytest.mark.parametrize(
     ("env", "settings", "sizes"),
     [
@@ -255,38 +241,3 @@ def test_the_mazes_of_gymnasium_robotics_train_from_python(robotics, tmp_path, n
     assert (agent.observation_size, *action.shape) == size
     assert env.action_space.contains(action)
     assert np.abs(agent.goal - observation["achieved_goal"]).max() <= agent.config.hierarchy.goal_distance + 1e-6
-
-
-@pytest.mark.parametrize("name", ["robotics-ant-maze", "robotics-point-maze"])
-def test_an_episode_of_the_mazes_depends_on_its_seed_alone(robotics, name):
-    def make(num_episodes):
-        return shes.runs.build.build_task(make_config(name, "smoke"), num_episodes, is_evaluation=False)
-
-    alone, crowd = make(1), make(3)
-    rng = np.random.default_rng(0)
-    crowd.reset(np.arange(3), [1, 2, 3])
-    for _ in range(20):
-        crowd.step(np.arange(3), rng.uniform(-1, 1, (3, crowd.action_size)))
-    alone.reset(np.array([0]), [77])
-    crowd.reset(np.array([1]), [77])
-    for _ in range(50):
-        action = rng.uniform(-1, 1, (1, alone.action_size))
-        alone.step(np.array([0]), action)
-        crowd.step(np.array([1]), np.tile(action, (3, 1)))
-        assert alone.observe()[0].tobytes() == crowd.observe()[1].tobytes()
-        assert (alone.position[0], alone.heading[0]) == (pytest.approx(crowd.position[1]), crowd.heading[1])
-
-
-def test_a_maze_whose_physics_blows_up_diverges(robotics, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    task = shes.runs.build.build_task(make_config("robotics-ant-maze", "smoke"), 2, is_evaluation=False)
-    task.reset(np.arange(2), [1, 2])
-    task._envs[1].unwrapped.ant_env.data.qvel[0] = 1e12
-    for _ in range(2):
-        task.step(np.arange(2), np.zeros((2, 8)))
-        assert task.diverged.tolist() == [False, True]
-    assert np.isfinite(task.observe()).all()
-    task.reset(np.array([1]), [2])
-    task.step(np.arange(2), np.zeros((2, 8)))
-    assert not task.diverged.any()
-    assert list(tmp_path.iterdir()) == []

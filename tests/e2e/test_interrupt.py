@@ -7,7 +7,6 @@ import time
 import pytest
 
 from shes.errors import ShesError
-from shes.rollout.roll_out import PopulationResults
 from shes.runs import recorder
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.tables import read_csv
@@ -32,7 +31,7 @@ def assert_interrupted(process, path, workers):
 def go_on(path, undisturbed):
     """Fail if a resumed run has other numbers than one that nothing happened to."""
     assert runs.differences(undisturbed, path)
-    resume(path)
+    resume(path, backend="serial")  # starting workers takes longer than what is left to do
     assert runs.differences(undisturbed, path) == []
 
 
@@ -91,23 +90,6 @@ def interrupted(path, **settings):
     """Train until the interruption that a test has prepared."""
     with pytest.raises(KeyboardInterrupt):
         runs.train_tiny(path, **settings)
-
-
-def test_ctrl_c_in_a_generation_ends_it_at_once(tmp_path, tiny_run, monkeypatch):
-    def add(results, task, result):
-        add.calls += 1
-        if add.calls == 2 + 3 + 1:  # after a generation of two groups and an evaluation, in the second generation
-            signal.raise_signal(signal.SIGINT)
-            raise AssertionError("the generation went on")
-        return original(results, task, result)
-
-    add.calls, original = 0, PopulationResults.add
-    monkeypatch.setattr(PopulationResults, "add", add)
-    interrupted(tmp_path / "run")
-    assert runs.generation_under_way(tmp_path / "run") == 2
-    monkeypatch.undo()
-    resume(tmp_path / "run")
-    assert runs.differences(tiny_run, tmp_path / "run") == []
 
 
 def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):

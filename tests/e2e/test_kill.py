@@ -150,17 +150,3 @@ def test_workers_killed_in_every_generation_change_no_number(started, undisturbe
     # A worker that still starts, or has just finished its share, has no task to lose.
     assert any(tasks > 0 for _, _, tasks in found)
     assert runs.differences(undisturbed, path) == []
-
-
-@pytest.mark.extras
-def test_a_killed_run_may_go_on_with_other_workers(started, undisturbed):
-    process, path = started(num_workers=1, chunk_size=3)
-    inside = runs.stop_inside_generation(process, path, 2)
-    kill(process.pid)
-    process.wait()
-    code, out, err = runs.run("resume", path, "--workers", "3", "--generations", inside)
-    assert (code, err) == (0, ""), out
-    code, out, err = runs.run("resume", path, "--backend", "serial", "--chunk-size", "1", "--generations", 4)
-    if inside < 4:
-        assert (code, err) == (0, ""), out
-    assert runs.differences(undisturbed, path) == []

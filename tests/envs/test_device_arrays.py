@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shes.envs.named_environments import make_task
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.types import to_host
 from tests.contracts.variants import VARIANTS
 from tests.strict_arrays import DeviceArray, strict_xp

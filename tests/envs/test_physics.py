@@ -16,7 +16,7 @@ import pytest
 from shes.envs.named_environments import ENVIRONMENTS, find_environment, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.worlds import INTEGRATORS
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 
 WORLDS = [(name, "shes") for name in ENVIRONMENTS if not name.endswith("-flagrun")]  # which has Gather's
 WORLDS += [("point-gather", "hiro"), ("ant-gather", "hiro")]  # the only ones with other walls

@@ -16,7 +16,7 @@ from shes.envs.tasks.task import Task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import Settings
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from tests.contracts.variants import VARIANTS
 from tests.e2e.own_classes import Corner
 

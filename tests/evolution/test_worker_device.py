@@ -12,7 +12,7 @@ import shes.rollout.worker
 from shes.errors import ConfigError
 from shes.rollout.lockstep import Rollout
 from shes.rollout.worker import RolloutWorker, simulator_factory
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from tests.evolution.test_worker import a_plan, returns_of, run
 

@@ -15,7 +15,7 @@ from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.runs.folder import RunFolder
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
 from shes.types import to_host

@@ -17,7 +17,7 @@ from shes.rollout.lockstep import Rollout
 from shes.rollout.worker import RolloutWorker, WorkerPlan
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from tests.rollout.made_up import taking
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator

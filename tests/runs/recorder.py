@@ -24,7 +24,7 @@ from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import Evaluation, evaluate_state
 from shes.runs.make_config import make_config
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 
 
 @dataclass(frozen=True, kw_only=True)

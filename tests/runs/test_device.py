@@ -18,7 +18,7 @@ from shes.machine import num_cores
 from shes.rollout.roll_out import PopulationResults
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from tests.e2e import runs
 
 

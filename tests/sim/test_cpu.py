@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences
+from shes.sim.simulator import CpuSimulator, count_divergences, forget_divergences
 from tests.sim.ants import INTEGRATORS, ant_model
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from shes.errors import ConfigError, MissingExtraError
 from shes.sim import warp_device
-from shes.sim.warp import bytes_per_sim
 from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
 
 VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
@@ -201,27 +200,3 @@ def test_stderr_comes_back_where_warp_cannot_start(machine, capfd):
     with pytest.raises(RuntimeError, match="no"):
         load_warp()
     assert capfd.readouterr().err == "why\n"
-
-
-def test_the_memory_of_a_simulation_excludes_what_is_loaded_once(monkeypatch):
-    state = SimpleNamespace(free=10**9, loaded=False)
-
-    class Simulator:
-        def __init__(self, model, num_sims, device, nconmax, njmax):
-            assert (model, device, nconmax, njmax) == ("model", "cuda", 3, None)
-            self.num_sims = num_sims
-
-        def step(self, ids, nstep):
-            assert len(ids) == self.num_sims
-            assert nstep == 5
-            state.free -= 1000 * self.num_sims + (0 if state.loaded else 10**8)
-            state.loaded = True
-
-    device = SimpleNamespace(free_bytes=lambda: state.free)
-    monkeypatch.setattr("shes.sim.warp.WarpSimulator", Simulator)
-    monkeypatch.setattr("shes.sim.warp.WarpDevice", lambda _: device)
-    assert bytes_per_sim("model", "cuda", 5, nconmax=3) == 1000
-
-
-def test_where_memory_has_no_limit_nothing_is_measured(machine):
-    assert bytes_per_sim(None, "warp-cpu", 5) == 0

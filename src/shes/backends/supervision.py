@@ -114,17 +114,14 @@ class SupervisingBackend(Backend):
                 while next_number in self._results:
                     yield self._results.pop(next_number)
                     next_number += 1
-            while any(self.is_awaited(worker) for worker in self.workers):
+            # One that never asked is not waited for: it may have been stopped.
+            while any(each.is_ready and not (each.is_idle or each.is_expected) for each in self.workers):
                 self.serve_requests()
             is_finished = True
         finally:
             self._begin_map(())
             if not is_finished:  # a worker raised, or the caller stopped iterating: nobody needs the remaining results
                 self.close()
-
-    def is_awaited(self, worker: RemoteWorker) -> bool:
-        """Return whether a `map` whose tasks are done waits for a worker: not if it never asked, as if stopped."""
-        return worker.is_ready and not (worker.is_idle or worker.is_expected)
 
     def close(self) -> None:
         """Let every worker close its environments and end; kill those that do not within seconds."""

@@ -26,7 +26,7 @@ from shes.runs.build import build_algorithm, build_backend, check_limits
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
 from shes.settings import Ge, checked
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.types import F64Array, IntArray, Listing, facts_listing
 
 _REPLAYED = 24  # number of whole episodes that the bare loop replays

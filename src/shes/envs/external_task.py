@@ -26,7 +26,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
 from shes.machine import resident_memory
 from shes.registry import full_name
-from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
+from shes.sim.simulator import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
 _LOG = logging.getLogger("shes.run")

@@ -16,7 +16,7 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.options import check_options
 from shes.registry import Registry, check_class
 from shes.settings import Settings
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.types import is_whole
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task import Task
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import setting_fields
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 _PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}

@@ -19,7 +19,7 @@ from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import NumberedTask, Rollout
-from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 

@@ -23,13 +23,11 @@ import numpy as np
 
 from shes.errors import ConfigError
 from shes.sim.simulator import Simulator
-from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
+from shes.sim.warp_device import WarpDevice, load_warp
 from shes.types import IntArray
 
 _MAX_CONTACTS = 2**31 - 1
 """Largest number of contacts of all simulations together."""
-_MEASURED = (16, 64, 512)
-"""Numbers of simulations whose memory is measured: a few to load the kernels, then enough to average over blocks."""
 _CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
 """Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
 _CONTACTS_OF_OTHERS = 8
@@ -227,28 +225,3 @@ def _check_state(model: mujoco.MjModel) -> None:
             f"the Warp simulator supports models whose state is qpos and qvel ({model.nq + model.nv} numbers), got one "
             f"of {size}: activations, delays or plasticity. Use --device cpu."
         )
-
-
-def bytes_per_sim(
-    model: mujoco.MjModel, device: str, nstep: int, nconmax: int | None = None, njmax: int | None = None
-) -> float:
-    """Return the memory of a simulation of `model` on `device`, in bytes; 0 on the CPU.
-
-    The graph of a control step of `nstep` physics steps takes memory, too. For `nconmax` and `njmax` see
-    `WarpSimulator`.
-    """
-    memory, used = WarpDevice(device), 0.0
-    for num_sims in _MEASURED:
-        before = memory.free_bytes()
-        if before is None:
-            return 0.0
-        try:
-            simulator = WarpSimulator(model, num_sims, device, nconmax, njmax)
-            simulator.step(np.arange(num_sims), nstep)
-        except (MemoryError, RuntimeError) as error:
-            if not used or not is_out_of_memory(error):
-                raise
-            break  # keep the result of fewer simulations
-        used = max(0, before - (memory.free_bytes() or 0)) / num_sims
-        del simulator
-    return used

@@ -188,7 +188,7 @@ def _driver(warp: ModuleType) -> str:
     return ".".join(map(str, warp.get_cuda_driver_version() or ("none",)))
 
 
-def _load_cupy(driver: str = "none") -> ModuleType:
+def _load_cupy(driver: str) -> ModuleType:
     """Return the module `cupy`."""
     try:
         import cupy

@@ -20,8 +20,7 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ShapeError, UnknownNameError
-from shes.sim.cpu import CpuSimulator
-from shes.sim.simulator import Simulator
+from shes.sim.simulator import CpuSimulator, Simulator
 from shes.streams import EpisodePurpose, episode_stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
