@@ -82,7 +82,7 @@ def _task_options() -> str:
     """Return the table of the options of all tasks."""
     found, tasks = {}, dict[str, dict[str, None]]()
     for environment in ENVIRONMENTS.values():
-        for each in setting_fields(environment.options).values():
+        for each in setting_fields(environment.task.Options).values():
             if not each.has(Unasked):
                 found[each.name] = each
                 tasks.setdefault(each.name, {})[environment.task.name] = None

@@ -53,7 +53,10 @@ def collect(learner, num_steps=1, *, is_random=True):
 
 @pytest.mark.parametrize("env", ["ant-maze", "ant-gather", "ant-push"])
 def test_a_goal_of_the_ant_is_all_of_its_coordinates(env):
-    design, task = algorithm(env=env, spec="hiro").design, make_task(env, 1, find_environment(env).options(spec="hiro"))
+    design, task = (
+        algorithm(env=env, spec="hiro").design,
+        make_task(env, 1, find_environment(env).task.Options(spec="hiro")),
+    )
     assert design.half_range == (10, 10, 0.5, 1, 1, 1, 1, 0.5, 0.3, 0.5, 0.3, 0.5, 0.3, 0.5, 0.3)
     task.reset(np.array([0]), [1])
     np.testing.assert_array_equal(design.coordinates(task.observe(), task.position), task.sim.qpos[:, :15])

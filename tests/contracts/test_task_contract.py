@@ -9,24 +9,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from tests.contracts.variants import over_variants
+from tests.envs.episodes import FLAGS, NUMBERS, assert_same_view, draw_actions, play, view
 
 pytestmark = over_variants
-
-NUMBERS = ("time", "reward", "running_return", "score", "position", "heading")
-FLAGS = ("success", "terminated", "fallen", "diverged")
-
-
-def view(task, rows=slice(None)):
-    """Return copies of every array of `rows`, by name."""
-    seen = {name: np.array(getattr(task, name)[rows]) for name in NUMBERS + FLAGS}
-    seen["observation"] = task.observe()[rows].copy()
-    seen["qpos"], seen["qvel"] = task.sim.qpos[rows].copy(), task.sim.qvel[rows].copy()
-    return seen
-
-
-def assert_same_view(left, right):
-    for name, values in left.items():
-        assert_array_equal(values, right[name], err_msg=name)
 
 
 def start(variant, num_episodes, seeds=None, **options):
@@ -34,18 +19,6 @@ def start(variant, num_episodes, seeds=None, **options):
     task = variant.make_task(num_episodes, **options)
     task.reset(np.arange(num_episodes), range(num_episodes) if seeds is None else seeds)
     return task
-
-
-def draw_actions(task, steps, seed=0):
-    """Return actions [steps, A] that use the whole range of the controls."""
-    return np.random.default_rng(seed).uniform(-1, 1, (steps, task.action_size)) * task.control_limit
-
-
-def play(task, actions, ids=None):
-    """Step with `actions` [steps, A], the same for every row, and return the last view."""
-    for action in actions:
-        task.step(np.arange(task.num_episodes) if ids is None else ids, np.tile(action, (task.num_episodes, 1)))
-    return view(task)
 
 
 @pytest.mark.parametrize("evaluation", [False, True])
@@ -141,11 +114,12 @@ def test_a_diverged_episode_earns_nothing_and_does_not_score(variant):
     actions = draw_actions(calm, 12)
     play(spoiled, actions[:5])
     play(calm, actions[:5])
-    spoiled.sim.qvel[1, 0] = 1e12
+    spoiled.sim.qvel[1, 0], earned = 1e12, spoiled.running_return[1]
     for action in actions[5:]:
         for task in (spoiled, calm):
             task.step(np.arange(3), np.tile(action, (3, 1)))
         assert_array_equal(spoiled.diverged, [False, True, False])
+        assert spoiled.running_return[1] == earned
         shown = [spoiled.reward[1], spoiled.score[1], float(spoiled.success[1])]
         assert [str(each) for each in np.float64(shown)] == ["0.0"] * 3  # "-0.0" looks like a cost
         assert np.isfinite(spoiled.observe()).all()

@@ -22,7 +22,7 @@ class Variant(NamedTuple):
 
     def options(self, **options):
         """Return options of this specification."""
-        return find_environment(self.name).options(spec=self.spec, **options)
+        return find_environment(self.name).task.Options(spec=self.spec, **options)
 
     def make_task(self, num_episodes, **options):
         """Return `num_episodes` episodes of it."""

@@ -24,6 +24,7 @@ from shes.envs.named_environments import (
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from shes.runs.make_config import make_config
 from tests.e2e.own_classes import Corner
+from tests.envs.episodes import assert_same_view, draw_actions, play, view
 from tests.envs.external_envs import (
     MAX_STEPS,
     STEP_M,
@@ -38,7 +39,6 @@ from tests.envs.external_envs import (
     register,
 )
 
-SHOWN = ("time", "reward", "running_return", "score", "success", "terminated", "diverged", "position", "heading")
 ANT_MAZE = "robotics-ant-maze"
 FREE = {"make": Body, "locate": None, "joints": "<freejoint/>"}
 REFUSED = (ConfigError, UnknownNameError)
@@ -73,26 +73,6 @@ def start(num_episodes, seeds=None, make=Car, locate=locate_car, score="return",
 
     register_external("tested", make_one, locate=locate, score=score)
     return begin("tested", num_episodes, seeds)
-
-
-def view(task, rows=slice(None)):
-    seen = {name: np.array(getattr(task, name)[rows]) for name in SHOWN}
-    return {**seen, "observation": task.observe()[rows].copy()}
-
-
-def assert_same_view(left, right):
-    for name, values in left.items():
-        assert_array_equal(values, right[name], err_msg=name)
-
-
-def draw_actions(task, steps, seed=0):
-    return np.random.default_rng(seed).uniform(-1, 1, (steps, task.action_size))
-
-
-def play(task, actions, ids=None):
-    for action in actions:
-        task.step(np.arange(task.num_episodes) if ids is None else ids, np.tile(action, (task.num_episodes, 1)))
-    return view(task)
 
 
 # Observations, actions, and the pose of the robot.

@@ -137,7 +137,7 @@ def crash(name, num_episodes, steps, seed, *, change=id, **options):
     def draw_action():
         return rng.choice([-1.0, 1.0], (num_episodes, task.action_size)) * task.control_limit
 
-    task = make_task(name, num_episodes, find_environment(name).options(**options), make_simulator)
+    task = make_task(name, num_episodes, find_environment(name).task.Options(**options), make_simulator)
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
     task.reset(ids, ids)
     task.sim.qpos[:, :2], direction = choose_starts(task, rng)

@@ -26,7 +26,7 @@ REACHED_M = 0.6
 
 def follow(name, script, steps, **options):
     """Follow `script` in five episodes; return the task and the step of each episode's first success (0: none)."""
-    task = make_task(name, NUM_EPISODES, find_environment(name).options(evaluation=True, **options))
+    task = make_task(name, NUM_EPISODES, find_environment(name).task.Options(evaluation=True, **options))
     ids = np.arange(NUM_EPISODES)
     task.reset(ids, ids)
     places = np.array([place[:2] for place in script], dtype=float)

@@ -36,35 +36,9 @@ DIHEDRAL = GROUPS["ant, dihedral"]
 over_groups = pytest.mark.parametrize("group", [pytest.param(group, id=name) for name, group in GROUPS.items()])
 
 
-def matrices(index, sign):
-    """Return the signed permutations [G, V, V] as matrices."""
-    return np.eye(index.shape[1])[index] * sign[:, :, None]
-
-
 def directions(group):
     """Return the matrix [G, 2, 2] of each element for vectors (ahead, left)."""
     return np.array([[[c, s], [-m * s, m * c]] for c, s, m in zip(*group.direction(), strict=True)])
-
-
-def place_of(elements, wanted):
-    (found,) = [i for i, each in enumerate(elements) if np.array_equal(each, wanted)]
-    return found
-
-
-def test_the_ant_alone_has_a_symmetry():
-    assert {name: (group.num_elements, group.num_turns, group.is_mirrored) for name, group in GROUPS.items()} == {
-        "ant, rotation": (4, 4, False),
-        "ant, dihedral": (8, 4, True),
-    }
-
-
-@over_groups
-def test_elements_are_a_group_that_acts_alike_on_all(group):
-    """Signed permutations of the view and the controls, which compose like the directions; `place_of` finds one."""
-    acts = [matrices(group.view_index, group.view_sign), directions(group)]
-    acts.append(matrices(group.control_index, group.control_sign).transpose(0, 2, 1))  # from the robot to the frame
-    for one, other in itertools.product(range(group.num_elements), repeat=2):
-        assert len({place_of(act, act[other] @ act[one]) for act in acts}) == 1
 
 
 @over_groups

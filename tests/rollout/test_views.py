@@ -126,7 +126,9 @@ def moving(config, rows):
     return task, task.observe()
 
 
-@pytest.mark.parametrize("variant", [each for each in VARIANTS if not ENVIRONMENTS[each.name].sets_goals], ids="-".join)
+@pytest.mark.parametrize(
+    "variant", [each for each in VARIANTS if not ENVIRONMENTS[each.name].task.sets_goals], ids="-".join
+)
 def test_a_controllers_egocentric_view_has_all_else_behind(variant):
     config = make_config(variant.name, "smoke", {"controller_view": "egocentric", "spec": variant.spec})
     design, (task, observed) = build_algorithm(config).design, moving(config, 3)

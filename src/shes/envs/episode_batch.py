@@ -66,6 +66,12 @@ class EpisodeBatch(ABC):
     """Array module of every array here: NumPy, or CuPy on a CUDA device."""
     starts_together: bool = False
     """Whether resetting all episodes at once is faster than resetting each as its lane becomes free."""
+    Options: ClassVar[Any]
+    """Class of its options: a subclass of `TaskOptions` if the task adds its own."""
+    sets_goals: ClassVar[bool] = False
+    """Whether the task sets the goals, so that a primitive can be trained without a controller."""
+    has_places: ClassVar[bool] = False
+    """Whether the task has a target, and `places` to search for a way to it."""
     draws_itself: ClassVar[bool] = False
     """Whether `pose` returns a picture drawn by the environment, not the qpos of `world_to_draw`."""
     ground_m: ClassVar[float] = 0.0

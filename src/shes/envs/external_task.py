@@ -34,120 +34,6 @@ _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "Ad
 _NUM_SEEDS = 2**31  # seeds are taken modulo this: some environments pass theirs on to generators that accept no more
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExternalEnvironment:
-    """Makes episodes of a Gymnasium environment. Nothing is imported or made before it is needed."""
-
-    sets_goals: ClassVar[bool] = False
-    has_own_physics: ClassVar[bool] = True
-    has_places: ClassVar[bool] = False
-    options: ClassVar[type[TaskOptions]] = TaskOptions
-
-    name: str
-    source: str | EnvSpec | Callable[..., gymnasium.Env[Any, Any]]
-    """Gymnasium id, registration, or a function that makes it. For the others see `shes.register_external`."""
-    locate: Locate | None = None
-    primitive_view: tuple[int, ...] | None = None
-    is_scored_by_success: bool = False
-
-    def __repr__(self) -> str:
-        """Return what makes it, by which `Registry` compares."""
-        return full_name(self.source)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Replace the id by its registration, which a worker process lacks if a script made it."""
-        return {**vars(self), "source": self.spec or self.source}
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Registration in Gymnasium; None if a function makes the environment. An unknown id raises."""
-        if not isinstance(self.source, str):
-            return None if callable(self.source) else self.source
-        if self.source not in gymnasium.registry:
-            with self.explained("be found"):
-                _import_robotics(self.source)
-        if self.source not in gymnasium.registry:
-            close = get_close_matches(self.source, gymnasium.registry, n=5) or ["none like it"]
-            raise UnknownNameError("Gymnasium environment", self.source, close, "Import its package: --import MODULE.")
-        return gymnasium.spec(self.source)
-
-    @property
-    def max_episode_steps(self) -> int | None:
-        """Time limit of the registration, or None. An environment made by a function is made once to find out."""
-        spec = self.spec
-        if spec is None:
-            with closing(self.make_one()) as env:
-                spec = env.spec
-        return spec and spec.max_episode_steps
-
-    def make(
-        self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
-    ) -> ExternalTask:
-        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect."""
-        if simulator is not CpuSimulator:
-            raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
-        return ExternalTask(self, num_episodes)
-
-    def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
-        """Return a single environment without the time limit of its registration: the caller counts the steps."""
-        spec, asked = self.spec, {} if render_mode is None else {"render_mode": render_mode}
-        log_physics_warnings()  # MuJoCo's compiler warns too
-        with self.explained(f"be made{f' with {asked}' if asked else ''}"):
-            if spec is not None:
-                _import_robotics(spec.id)
-                return gymnasium.make(spec, max_episode_steps=-1, disable_env_checker=True, **asked)
-            env: Any = self.source(**asked)  # type: ignore[operator] - without a spec it is a function
-            if not isinstance(env, gymnasium.Env):
-                raise ConfigError(f"its function must return a gymnasium.Env, got {env!r}.")
-            return env
-
-    def measured_bytes(self) -> int:
-        """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
-        gc.collect()  # what is freed meanwhile would be subtracted
-        before = resident_memory()
-        env = self.make_one()
-        try:
-            with self.explained("reset"):
-                env.reset(seed=0)
-            return max(0, resident_memory() - before)
-        finally:
-            self.close_one(env)
-
-    def close_one(self, env: Any) -> None:
-        """Close an environment; an error of its own is logged, because nothing depends on it any more."""
-        try:
-            env.close()
-        except Exception as error:  # noqa: BLE001 - of the user's code
-            _LOG.warning("%s cannot be closed: %s: %s", self.name, type(error).__name__, error)
-
-    @contextmanager
-    def explained(self, action: str) -> Iterator[None]:
-        """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error> (<file>:<line>)"."""
-        try:
-            yield
-        except Exception as error:
-            kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError | ModuleNotFoundError))
-            told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
-            if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
-                place = place_of(error, outside=("shes", "gymnasium"))
-                raise ConfigError(told.rstrip(": ") + f" ({place})" * bool(place and kind)) from error
-            entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
-            # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
-            part = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
-            extra = f"gymnasium[{part}]" if part else "shes[robotics]" if "gymnasium_robotics" in told else None
-            if part and isinstance(error, gymnasium.error.DependencyNotInstalled):  # its advice names other packages
-                told = f"{self.name} cannot {action}: {str(error).partition(',')[0]}"
-            fix = f" (pip install '{extra}')" if extra and "pip install" not in told else ""
-            raise MissingExtraError(told + fix) from error
-
-
-def _import_robotics(env_id: str) -> None:
-    """Import Gymnasium-Robotics if `env_id` is one of its ids; no other package is imported automatically."""
-    if env_id.startswith(_ROBOTICS):
-        with redirect_stderr(io.StringIO()):  # it prints deprecation notices
-            importlib.import_module("gymnasium_robotics")
-
-
 class ExternalTask(EpisodeBatch):
     """N episodes of an external environment.
 
@@ -155,6 +41,7 @@ class ExternalTask(EpisodeBatch):
     `fallen` is True only where it has terminated the episode and `info` reports no success.
     """
 
+    Options = TaskOptions
     draws_itself = True
     control_limit = 1.0
     # The contract's read-only properties.
@@ -273,3 +160,115 @@ class ExternalTask(EpisodeBatch):
         self._envs = [None] * self.num_episodes
         for env in envs:
             self.environment.close_one(env)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExternalEnvironment:
+    """Makes episodes of a Gymnasium environment. Nothing is imported or made before it is needed."""
+
+    task: ClassVar[type[EpisodeBatch]] = ExternalTask
+    has_own_physics: ClassVar[bool] = True
+
+    name: str
+    source: str | EnvSpec | Callable[..., gymnasium.Env[Any, Any]]
+    """Gymnasium id, registration, or a function that makes it. For the others see `shes.register_external`."""
+    locate: Locate | None = None
+    primitive_view: tuple[int, ...] | None = None
+    is_scored_by_success: bool = False
+
+    def __repr__(self) -> str:
+        """Return what makes it, by which `Registry` compares."""
+        return full_name(self.source)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Replace the id by its registration, which a worker process lacks if a script made it."""
+        return {**vars(self), "source": self.spec or self.source}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Registration in Gymnasium; None if a function makes the environment. An unknown id raises."""
+        if not isinstance(self.source, str):
+            return None if callable(self.source) else self.source
+        if self.source not in gymnasium.registry:
+            with self.explained("be found"):
+                _import_robotics(self.source)
+        if self.source not in gymnasium.registry:
+            close = get_close_matches(self.source, gymnasium.registry, n=5) or ["none like it"]
+            raise UnknownNameError("Gymnasium environment", self.source, close, "Import its package: --import MODULE.")
+        return gymnasium.spec(self.source)
+
+    @property
+    def max_episode_steps(self) -> int | None:
+        """Time limit of the registration, or None. An environment made by a function is made once to find out."""
+        spec = self.spec
+        if spec is None:
+            with closing(self.make_one()) as env:
+                spec = env.spec
+        return spec and spec.max_episode_steps
+
+    def make(
+        self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
+    ) -> ExternalTask:
+        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect."""
+        if simulator is not CpuSimulator:
+            raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
+        return ExternalTask(self, num_episodes)
+
+    def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
+        """Return a single environment without the time limit of its registration: the caller counts the steps."""
+        spec, asked = self.spec, {} if render_mode is None else {"render_mode": render_mode}
+        log_physics_warnings()  # MuJoCo's compiler warns too
+        with self.explained(f"be made{f' with {asked}' if asked else ''}"):
+            if spec is not None:
+                _import_robotics(spec.id)
+                return gymnasium.make(spec, max_episode_steps=-1, disable_env_checker=True, **asked)
+            env: Any = self.source(**asked)  # type: ignore[operator] - without a spec it is a function
+            if not isinstance(env, gymnasium.Env):
+                raise ConfigError(f"its function must return a gymnasium.Env, got {env!r}.")
+            return env
+
+    def measured_bytes(self) -> int:
+        """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
+        gc.collect()  # what is freed meanwhile would be subtracted
+        before = resident_memory()
+        env = self.make_one()
+        try:
+            with self.explained("reset"):
+                env.reset(seed=0)
+            return max(0, resident_memory() - before)
+        finally:
+            self.close_one(env)
+
+    def close_one(self, env: Any) -> None:
+        """Close an environment; an error of its own is logged, because nothing depends on it any more."""
+        try:
+            env.close()
+        except Exception as error:  # noqa: BLE001 - of the user's code
+            _LOG.warning("%s cannot be closed: %s: %s", self.name, type(error).__name__, error)
+
+    @contextmanager
+    def explained(self, action: str) -> Iterator[None]:
+        """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error> (<file>:<line>)"."""
+        try:
+            yield
+        except Exception as error:
+            kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError | ModuleNotFoundError))
+            told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
+            if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
+                place = place_of(error, outside=("shes", "gymnasium"))
+                raise ConfigError(told.rstrip(": ") + f" ({place})" * bool(place and kind)) from error
+            entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
+            # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
+            part = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
+            extra = f"gymnasium[{part}]" if part else "shes[robotics]" if "gymnasium_robotics" in told else None
+            if part and isinstance(error, gymnasium.error.DependencyNotInstalled):  # its advice names other packages
+                told = f"{self.name} cannot {action}: {str(error).partition(',')[0]}"
+            fix = f" (pip install '{extra}')" if extra and "pip install" not in told else ""
+            raise MissingExtraError(told + fix) from error
+
+
+def _import_robotics(env_id: str) -> None:
+    """Import Gymnasium-Robotics if `env_id` is one of its ids; no other package is imported automatically."""
+    if env_id.startswith(_ROBOTICS):
+        with redirect_stderr(io.StringIO()):  # it prints deprecation notices
+            importlib.import_module("gymnasium_robotics")

@@ -43,21 +43,6 @@ class Environment(NamedTuple):
     max_episode_steps = None
     """Time limit of the environment in control steps, or None if the preset sets it."""
 
-    @property
-    def options(self) -> type[TaskOptions]:
-        """The class of its task's options."""
-        return self.task.Options
-
-    @property
-    def sets_goals(self) -> bool:
-        """Whether the task sets the goals; see `Task.sets_goals`."""
-        return self.task.sets_goals
-
-    @property
-    def has_places(self) -> bool:
-        """Whether a way to its target can be searched for; see `Task.has_places`."""
-        return self.task.has_places
-
     def with_body_options(self, options: Settings) -> Environment:
         """Return this environment with a body made from `options`."""
         return self._replace(body=partial(self.body, options))  # type: ignore[arg-type] - called like the class
@@ -66,7 +51,7 @@ class Environment(NamedTuple):
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> Task:
         """Return `num_episodes` episodes of this environment."""
-        return self.task(self.body(), num_episodes, self.options() if options is None else options, simulator)
+        return self.task(self.body(), num_episodes, self.task.Options() if options is None else options, simulator)
 
 
 EnvironmentMaker: TypeAlias = Environment | ExternalEnvironment

@@ -89,7 +89,7 @@ def _check_branches(settings: Any) -> None:
 def _check_exploration(settings: Any) -> None:
     """Check that a way to the target can be searched for, and found again by the reward."""
     environment: Any = find_environment(settings.run.env)
-    if not environment.has_places:
+    if not environment.task.has_places:
         raise ConfigError(
             f"explore is 'archive', but {settings.run.env} has no target with a way to search for: only Maze, Push and "
             "Fall of this package have. Set --explore none."

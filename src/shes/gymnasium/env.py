@@ -145,7 +145,7 @@ def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads
     """Return the task of environment `name`; check the names of the options of task, body and pictures."""
     environment = ENVIRONMENTS.find(name)
     of_body = environment.body.Options
-    names = {*setting_fields(environment.options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
+    names = {*setting_fields(environment.task.Options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
     for option in options:
         if option not in names:
             known = ", ".join(nearest_first(option, names))
@@ -153,7 +153,7 @@ def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads
     if setting_fields(of_body):
         environment = environment.with_body_options(of_body.of(options))
     simulator = partial(CpuSimulator, num_threads=num_threads)
-    return environment.make(num_envs, environment.options.of(options), simulator)
+    return environment.make(num_envs, environment.task.Options.of(options), simulator)
 
 
 class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):

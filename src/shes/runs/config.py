@@ -202,7 +202,7 @@ _OF_EVERY_RUN: dict[str, type[Settings]] = {
 
 def algorithm_of(run: RunSettings) -> type[Algorithm[Any]]:
     """Return the algorithm of a run; raise ConfigError if it sets goals where the environment does."""
-    sets_goals = find_environment(run.env).sets_goals
+    sets_goals = find_environment(run.env).task.sets_goals
     found = find_algorithm(run.algorithm, sets_goals=sets_goals)
     if sets_goals and "controller" in found.level_names:
         fitting = [name for name in ALGORITHMS if "controller" not in find_algorithm(name, sets_goals=True).level_names]
@@ -219,7 +219,7 @@ def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
     body = {"body": env.body.Options} if isinstance(env, Environment) and env.body.Options is not Settings else {}
     last = {name: _OF_EVERY_RUN[name] for name in ("episodes", "evaluation")}
     own = algorithm_of(run).sections
-    return {"run": RunSettings, "workers": WorkerSettings, **own, "environment": env.options, **body, **last}
+    return {"run": RunSettings, "workers": WorkerSettings, **own, "environment": env.task.Options, **body, **last}
 
 
 def settings_by_section(run: RunSettings) -> dict[str, dict[str, Setting]]:
@@ -246,7 +246,7 @@ def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]
 
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
-    classes = dict.fromkeys(cls for env in ENVIRONMENTS.values() for cls in (env.options, env.body.Options))
+    classes = dict.fromkeys(cls for env in ENVIRONMENTS.values() for cls in (env.task.Options, env.body.Options))
     sections = [_OF_EVERY_RUN, *({"": cls} for cls in classes), *(each.sections for each in algorithm_classes())]
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 

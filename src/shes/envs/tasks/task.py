@@ -87,12 +87,7 @@ class Task(EpisodeBatch):
     """Reward, termination, score and success in words."""
     specs: ClassVar[tuple[str, ...]] = ("shes",)
     """Specifications that the task implements."""
-    sets_goals: ClassVar[bool] = False
-    """Whether the task sets the goals, so that a primitive can be trained without a controller."""
-    has_places: ClassVar[bool] = False
-    """Whether the task has a target, and `places` to search for a way to it."""
     Options: ClassVar[Any] = TaskOptions
-    """Class of its options: a subclass of `TaskOptions` if the task adds its own."""
     step_s = CONTROL_STEP_S
 
     def __init__(
