@@ -251,14 +251,10 @@ def known_settings() -> dict[str, Setting]:
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 
 
-def execution_settings() -> dict[str, Setting]:
-    """Return the settings that do not change the numbers of a run, by name."""
-    return {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
-
-
 def resumable_settings() -> dict[str, Setting]:
-    """Return the settings that `resume` takes, by name."""
-    return {name: each for name, each in execution_settings().items() if name != "preset"}
+    """Return the settings that `resume` takes, by name: those that do not change the numbers of a run."""
+    execution = {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
+    return {name: each for name, each in execution.items() if name != "preset"}
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
