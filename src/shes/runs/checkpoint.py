@@ -34,10 +34,6 @@ class Best:
     score: float = -np.inf
     mean_return: float = -np.inf
 
-    def is_beaten_by(self, score: float, mean_return: float) -> bool:
-        """Return whether a later evaluation with this score and return replaces it."""
-        return (score, mean_return) >= (self.score, self.mean_return)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Checkpoint:
