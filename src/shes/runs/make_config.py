@@ -27,9 +27,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     if not isinstance(preset, str) or preset not in PRESET_NAMES:
         raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
     asked = dict(overrides or {})
-    for name in transferred_levels():
-        if isinstance(asked.get(name), Path):
-            asked[name] = run_text(asked[name])
+    asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
     values = {"env": env, "preset": preset, **preset_values(env, preset, asked), **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}

@@ -249,18 +249,6 @@ class Recorder:
                 self._is_stopped = True
 
 
-class _LogFile(logging.FileHandler):
-    """A log file whose errors are ignored: a full disk ends the run when tables or checkpoints are written."""
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
-        """Drop the record."""
-
-    def close(self) -> None:
-        """Close the file, even if buffered text cannot be written."""
-        with suppress(OSError):
-            super().close()
-
-
 @contextmanager
 def run_log(folder: RunFolder) -> Iterator[None]:
     """Write the log of the run to its `log.txt` inside the block.
@@ -268,7 +256,8 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     An error that ends the block is logged with its traceback, which says where in the user's own code it began.
     """
     with storage_errors(folder.log):
-        file = _LogFile(folder.log, encoding="utf-8")
+        file = logging.FileHandler(folder.log, encoding="utf-8")
+    file.handleError = lambda *_, **__: None  # a full disk ends the run when tables or checkpoints are written
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     previous = logger.level, logger.propagate
     logger.addHandler(file)
@@ -283,4 +272,5 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     finally:
         logger.removeHandler(file)
         logger.level, logger.propagate = previous
-        file.close()
+        with suppress(OSError):  # buffered text may not fit on the disk
+            file.close()

@@ -152,10 +152,6 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         listener: Receives the progress, as in `train`.
         progress: Whether to show the progress; only in a terminal or a notebook if None.
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
-
-    Raises:
-        CheckpointError: The last checkpoint is damaged or from another run.
-        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
     """
     with with_display(listener, progress) as heard:
         return _resume_run(path, heard, settings)
@@ -263,8 +259,7 @@ def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, _Interruption
 
 
 def _run(folder: RunFolder, config: TrainConfig, last: Checkpoint) -> Run:
-    reached = {"generation": last.generation, "env_steps": last.env_steps, "best": last.best}
-    return Run(path=folder.path, config=config, **reached)
+    return Run(path=folder.path, config=config, generation=last.generation, env_steps=last.env_steps, best=last.best)
 
 
 class _Interruption:
