@@ -75,7 +75,7 @@ def ship(
         agent = ShippedAgent(
             description=description,
             env=config.run.env,
-            commands=tuple(commands),
+            commands=list(commands),
             cores=1 if is_on_one else config.workers.num_workers or record["machine"]["cores"],
             hours=round(sum(table["wall_time_s"][-1] for table in tables) / 3600, 3),
             env_steps=sum(int(table["env_steps"][-1]) for table in tables),

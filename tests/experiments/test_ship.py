@@ -67,7 +67,7 @@ def test_an_agent_is_a_small_run_folder_without_what_training_needs(agents, walk
 
 def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_run):
     told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
-    assert (told.description, told.commands) == (TOLD["description"], tuple(TOLD["commands"]))
+    assert (told.description, told.commands) == (TOLD["description"], TOLD["commands"])
     assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
     assert told.generation == checkpoint.generation
     assert 0 <= told.hours < 0.1

@@ -141,11 +141,6 @@ def check_device(config: TrainConfig) -> None:
         ) from error
 
 
-def max_workers() -> int:
-    """Return the largest number of worker processes that are started on this machine."""
-    return max(64, 16 * num_cores())
-
-
 def most_episodes(config: TrainConfig, *, is_evaluation: bool = False) -> int:
     """Return the largest number of episodes at a time, and so of workers, of a run, or of an evaluation alone."""
     policies, episodes = config.algorithm.population(config)
@@ -155,11 +150,11 @@ def most_episodes(config: TrainConfig, *, is_evaluation: bool = False) -> int:
 def check_limits(config: TrainConfig, design: AgentDesign, *, is_evaluation: bool = False) -> None:
     """Raise ConfigError unless the arrays and processes of a run, or of an evaluation alone, fit this machine."""
     has_processes = config.workers.device == "cpu" and config.workers.backend == "processes"
-    workers = config.workers.count if has_processes else 0
-    if workers > max_workers():
+    workers, most = config.workers.count if has_processes else 0, max(64, 16 * num_cores())
+    if workers > most:
         raise ConfigError(
-            f"num_workers is {workers:,}, but this machine has {num_cores()} cores: more than {max_workers()} worker "
-            f"processes are not started. Set --workers {max_workers()} or less; 0 is one for every core."
+            f"num_workers is {workers:,}, but this machine has {num_cores()} cores: more than {most} worker "
+            f"processes are not started. Set --workers {most} or less; 0 is one for every core."
         )
     need, free = _memory(config, design, workers, is_evaluation=is_evaluation), free_memory()
     if need > free:

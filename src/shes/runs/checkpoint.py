@@ -21,7 +21,6 @@ FORMAT = 2
 _OWN = ("format", "best_generation", "best_score", "best_return", "settings")
 """Arrays that do not belong to the algorithm."""
 _OF_EVERY_ALGORITHM = ("seed", "generation", "env_steps")
-_MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
 
 ArrayCheck: TypeAlias = Callable[[Mapping[str, ArrayHeader]], object]
 """Checks the names, shapes and types of an algorithm's arrays."""
@@ -34,10 +33,6 @@ class Best:
     generation: int = -1
     score: float = -np.inf
     mean_return: float = -np.inf
-
-    def is_beaten_by(self, score: float, mean_return: float) -> bool:
-        """Return whether a later evaluation with this score and return replaces it."""
-        return (score, mean_return) >= (self.score, self.mean_return)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,6 +116,11 @@ def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarr
         return from_arrays(checkpoint.arrays)
 
 
+def short_text(error: object) -> str:
+    """Return the cause of damage on one line of at most 200 characters; it may quote the file."""
+    return " ".join(str(error).split())[:200]
+
+
 @contextmanager
 def _damage_named(path: Path) -> Iterator[None]:
     """Convert any error into a CheckpointError that names `path`."""
@@ -129,9 +129,8 @@ def _damage_named(path: Path) -> Iterator[None]:
     except CheckpointError as error:
         raise CheckpointError(f"{path} {error}") from error
     except Exception as error:  # NumPy and zipfile raise errors of a dozen kinds for a damaged file
-        text = " ".join(str(error).split())[:_MOST_TEXT]
         raise CheckpointError(
-            f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {text}). It may be truncated or another "
-            "program's file. Take another one with --checkpoint last, best or a generation; "
+            f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {short_text(error)}). It may be "
+            "truncated or another program's file. Take another one with --checkpoint last, best or a generation; "
             "to resume from another one, copy it over last.npz."
         ) from error

@@ -194,12 +194,14 @@ def repeated_settings(folder: RunFolder) -> dict[str, Any]:
 
     Those of a run that trained the primitive are called `primitive's sigma`, and `primitive` is then `of ENV`.
     """
-    return {name: value for name, value in _traced(folder).items() if name.split()[-1] != "seed"}
+    traced = _traced(folder.read_config(), folder.read_record())
+    return {name: value for name, value in traced.items() if name.split()[-1] != "seed"}
 
 
 def seeds_of(folder: RunFolder) -> dict[str, int]:
     """Return the seeds in which repetitions of a run differ: `seed`, and `primitive's seed` if that is known."""
-    return {name: value for name, value in _traced(folder).items() if name.split()[-1] == "seed"}
+    traced = _traced(folder.read_config(), folder.read_record())
+    return {name: value for name, value in traced.items() if name.split()[-1] == "seed"}
 
 
 def differing_settings(settings: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -209,20 +211,16 @@ def differing_settings(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [name for name, found in values.items() if any(value != found[0] for value in found)]
 
 
-def _traced(folder: RunFolder) -> dict[str, Any]:
+def _traced(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a run, and of the runs from which it has a level."""
-
-    def trace(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
-        found = config.numbers()
-        for level in config.algorithm.transfers:
-            try:
-                theirs = TrainConfig.from_dict(record[level]["config"])
-            except (ShesError, KeyError, TypeError, AttributeError):  # a shipped agent, or a class not registered here
-                continue
-            lengths = {"generations": theirs.run.generations, "env_steps": theirs.run.env_steps}
-            of_level = {**trace(theirs, record[level]), **lengths}
-            found[level] = f"of {of_level.pop('env')}"
-            found |= {f"{level}'s {name}": value for name, value in of_level.items()}
-        return found
-
-    return trace(folder.read_config(), folder.read_record())
+    found = config.numbers()
+    for level in config.algorithm.transfers:
+        try:
+            theirs = TrainConfig.from_dict(record[level]["config"])
+        except (ShesError, KeyError, TypeError, AttributeError):  # a shipped agent, or a class not registered here
+            continue
+        lengths = {"generations": theirs.run.generations, "env_steps": theirs.run.env_steps}
+        of_level = {**_traced(theirs, record[level]), **lengths}
+        found[level] = f"of {of_level.pop('env')}"
+        found |= {f"{level}'s {name}": value for name, value in of_level.items()}
+    return found

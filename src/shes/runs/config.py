@@ -251,14 +251,10 @@ def known_settings() -> dict[str, Setting]:
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 
 
-def execution_settings() -> dict[str, Setting]:
-    """Return the settings that do not change the numbers of a run, by name."""
-    return {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
-
-
 def resumable_settings() -> dict[str, Setting]:
-    """Return the settings that `resume` takes, by name."""
-    return {name: each for name, each in execution_settings().items() if name != "preset"}
+    """Return the settings that `resume` takes, by name: those that do not change the numbers of a run."""
+    execution = {name: each for name, each in by_name(with_options(_OF_EVERY_RUN)).items() if each.has(Execution)}
+    return {name: each for name, each in execution.items() if name != "preset"}
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
@@ -275,17 +271,12 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
             continue
         everywhere = known_settings()
         if name not in everywhere:
-            raise _unknown_setting(name, here)
+            close = difflib.get_close_matches(name, here, n=3)
+            hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
+            similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
+            raise ConfigError(f"unknown setting {name!r}. {hint}{similar}")
         raise ConfigError(
             f"{name} is not a setting of a run of {values['env']} with algorithm "
             f"{values.get('algorithm', RunSettings.algorithm)!r}, got {values[name]!r}. Omit {everywhere[name].flag}."
         )
     return sections
-
-
-def _unknown_setting(name: str, known: Mapping[str, Setting]) -> ConfigError:
-    """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
-    close = difflib.get_close_matches(name, known, n=3)
-    hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
-    similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
-    return ConfigError(f"unknown setting {name!r}. {hint}{similar}")

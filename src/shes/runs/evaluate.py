@@ -75,14 +75,10 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         """Return means and standard deviations by column name, as tables show them."""
-        primitive = (
-            {}
-            if self.primitive_returns is None
-            else {
-                "primitive_return_mean": float(self.primitive_returns.mean()),
-                "goals_reached_mean": float(self.goals_reached.mean()),
-            }
-        )
+        primitive: dict[str, float] = {}
+        if self.primitive_returns is not None:
+            primitive["primitive_return_mean"] = float(self.primitive_returns.mean())
+            primitive["goals_reached_mean"] = float(self.goals_reached.mean())
         return {
             "episodes": len(self.scores),
             "score_mean": float(self.scores.mean()),
@@ -198,9 +194,6 @@ def evaluate(
         controller: The trained controller; `random`, which sets a goal in a random direction at every decision; or
             `constant`, the one with the best score of nine that always set the same goal. A score that these reach as
             well was not learned.
-
-    Raises:
-        ConfigError: The machine has no such device or not enough memory, or the run has no controller to replace.
     """
     execution: dict[str, Any] = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
     execution = {name: value for name, value in execution.items() if value is not None}

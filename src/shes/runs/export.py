@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -58,10 +57,6 @@ def export(
 
     Returns:
         Paths of the files.
-
-    Raises:
-        ConfigError: `out` does not end with the name of the format, or is among the checkpoints of a run.
-        MissingExtraError: `onnx` is not installed.
     """
     path = Path(f"policy.{format}" if out is None else out)
     if path.suffix != f".{format}":
@@ -232,7 +227,5 @@ def _graph(onnx: Any, name: str, policy: MLP, level: LevelParameters, clip: floa
     )
 
 
-FORMATS: Mapping[str, Callable[[Path, Mapping[str, Any], Networks], tuple[Path, ...]]] = MappingProxyType(
-    {"npz": _write_npz, "onnx": _write_onnx}
-)
+FORMATS = {"npz": _write_npz, "onnx": _write_onnx}
 """Function that writes an agent and returns its files, by the name of the format."""

@@ -78,15 +78,10 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
     if agents:
-        rows = [
-            (
-                name,
-                it.env,
-                *("-" if found is None else found.score for found in it.evaluations),
-                f"{it.env_steps / 1e6:.1f}",
-            )
-            for name, it in agents.items()
-        ]
+        rows = list[tuple[str, ...]]()
+        for name, agent in agents.items():
+            scores = ("-" if found is None else found.score for found in agent.evaluations)
+            rows.append((name, agent.env, *scores, f"{agent.env_steps / 1e6:.1f}"))
         parts += [
             Table(("agent", "environment", "score", "constant", "random", "steps"), rows),
             "Score: mean and standard error over fresh episodes. Steps: environment steps of training, in millions.",

@@ -15,25 +15,19 @@ from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, ch
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
 from shes.runs.shipped import run_text
 from shes.runs.transfer import brought_settings, transferred_levels
-from shes.settings import Setting, setting_fields
+from shes.settings import setting_fields
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Return the settings of `preset` for `env`, with `overrides` by name.
 
-    The time limit of an environment applies to training and evaluation.
-
-    Raises:
-        UnknownNameError: `preset` or `env` is unknown.
-        ConfigError: A setting is unknown, out of range or without effect, or `env` cannot be made.
-        MissingExtraError: `env` needs a package that is not installed.
+    The time limit of an environment applies to training and evaluation. Raise ShesError if a name is unknown, or a
+    setting is out of range or has no effect.
     """
     if not isinstance(preset, str) or preset not in PRESET_NAMES:
         raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
     asked = dict(overrides or {})
-    for name in transferred_levels():
-        if isinstance(asked.get(name), Path):
-            asked[name] = run_text(asked[name])
+    asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
     values = {"env": env, "preset": preset, **preset_values(env, preset, asked), **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
@@ -76,26 +70,10 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."
             )
-        if _is_heeded(config, setting):
+        needed = [(need, config.values[need.other]) for need in setting.needs]
+        if not needed or any(value in need.values if need.values else value is not None for need, value in needed):
             continue
-        needed = [each for each in setting.needs if each.other in config.values]
-        others = ", ".join(f"{each.other} {config.values[each.other]!r}" for each in needed)
-        fixes = [f"Set {config.setting(each.other).flag}{_one_of(each.values)}, or omit" for each in needed[:1]]
-        raise ConfigError(
-            f"{name} has no effect with {others}, got {asked[name]!r}. {' '.join(fixes) or 'Omit'} {setting.flag}."
-        )
+        first, found = needed[0][0], ", ".join(f"{need.other} {value!r}" for need, value in needed)
+        fix = " to ".join(filter(None, (config.setting(first.other).flag, " or ".join(first.values))))
+        raise ConfigError(f"{name} has no effect with {found}, got {asked[name]!r}. Set {fix}, or omit {setting.flag}.")
     config.algorithm.check_effects(config, asked)
-
-
-def _is_heeded(config: TrainConfig, setting: Setting) -> bool:
-    """Return whether `setting` needs no other one, or one that is set and has an effect itself."""
-    for need in setting.needs:
-        value = config.values.get(need.other)
-        is_set = value in need.values if need.values else value is not None
-        if is_set and _is_heeded(config, config.setting(need.other)):
-            return True
-    return not setting.needs
-
-
-def _one_of(values: tuple[str, ...]) -> str:
-    return f" to {' or '.join(values)}" if values else ""

@@ -102,24 +102,21 @@ class ProgressDisplay:
         shares += [] if run.minutes is None else [(now - self._start) / (60 * run.minutes)]
         self._shares.append((now, min(1.0, max(shares))))
         is_last = run.is_over(row["generation"], row["env_steps"])
-        if self._live is not None:
-            self._redraw(self._live)
-        elif now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1:
+        self._redraw()
+        if self._live is None and (now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1):
             self._last_line = now
             self._print(Text("  ".join(f"{name} {value}" for name, value in self._facts())))
 
     def on_evaluation(self, row: Row) -> None:
         """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
         self._evaluation = row
-        if self._live is not None:
-            self._redraw(self._live)
+        self._redraw()
 
     def on_event(self, event: str) -> None:
         """Show a warning at once."""
         self._events.append(event)
-        if self._live is not None:
-            self._redraw(self._live)
-        else:
+        self._redraw()
+        if self._live is None:
             self._print(Text(event, style="yellow"))
 
     def _print(self, text: Text) -> None:
@@ -149,8 +146,10 @@ class ProgressDisplay:
             ("time left", self._time_left()),
         ]
 
-    def _redraw(self, live: Live) -> None:
-        """Draw the block again; it fits 40 columns and uses up to 100."""
+    def _redraw(self) -> None:
+        """Draw the block again, in a terminal that can; it fits 40 columns and uses up to 100."""
+        if self._live is None:
+            return
         parts: list[Table | Text] = [Text(event, style="yellow") for event in self._events]
         if self._row:
             table = Table.grid(padding=(0, 2))
@@ -162,4 +161,4 @@ class ProgressDisplay:
             width = min(self._console.width, 100)
             bar.add_row(ProgressBar(total=1000, completed=round(1000 * self._shares[-1][1]), width=width))
             parts = [bar, table, *parts]
-        live.update(Group(*parts), refresh=True)
+        self._live.update(Group(*parts), refresh=True)

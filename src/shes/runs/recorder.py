@@ -48,29 +48,17 @@ _METHODS = {
 """Methods of a listener, with their parameters. One that returns True ends the run."""
 
 
-class Listeners:
-    """The listeners of a run."""
-
-    def __init__(self, listener: AnyListener) -> None:
-        """Raise ConfigError or UnknownNameError unless each is a function of a row or has some of these methods."""
-        each = listener if isinstance(listener, list | tuple) else () if listener is None else (listener,)
-        self._methods = [_methods(one) for one in each]
-
-    def tell(self, method: str, *content: Any) -> bool:
-        """Call `method` of every listener that has it; return whether one asks to end the run."""
-        wants_end = False
-        for methods in self._methods:
-            if method in methods:
-                try:
-                    answer = methods[method](*content)
-                except StopTraining:
-                    answer = True
-                wants_end |= isinstance(answer, bool | np.bool_) and bool(answer)
-        return wants_end
+ListenerMethods: TypeAlias = dict[str, Callable[..., Any]]
+"""The methods of a listener by name; a plain function is its `on_generation`."""
 
 
-def _methods(listener: Any) -> dict[str, Callable[..., Any]]:
-    """Return the methods of a listener by name; a plain function is its `on_generation`."""
+def listener_methods(listener: AnyListener) -> list[ListenerMethods]:
+    """Return the methods of each listener; raise ConfigError or UnknownNameError if one has none of these."""
+    each = listener if isinstance(listener, list | tuple) else () if listener is None else (listener,)
+    return [_methods(one) for one in each]
+
+
+def _methods(listener: Any) -> ListenerMethods:
     if isinstance(listener, type):
         name = listener.__name__
         raise ConfigError(f"listener must be an object, got the class {name}. Write {name}().")
@@ -133,7 +121,7 @@ class Recorder:
     """Evaluates the generations of a run during one call and writes its files. Close it at the end."""
 
     def __init__(
-        self, folder: RunFolder, algorithm: Algorithm[Any], checkpoint: Checkpoint, listeners: Listeners
+        self, folder: RunFolder, algorithm: Algorithm[Any], checkpoint: Checkpoint, listeners: list[ListenerMethods]
     ) -> None:
         """Open the tables and remove the rows after `checkpoint`; raise RunFolderError if a table is damaged."""
         from shes.runs.tensorboard import Events  # only training needs it, and it is slow to import
@@ -147,9 +135,8 @@ class Recorder:
             "evaluation": CsvTable(folder.evaluation, checkpoint.generation),
         }
         self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
-        self._earlier_s, self._earlier_process_s = (
-            last_value(folder.progress, name) for name in ("wall_time_s", "process_time_s")
-        )
+        self._earlier_s = last_value(folder.progress, "wall_time_s")
+        self._earlier_process_s = last_value(folder.progress, "process_time_s")
 
     def close(self) -> None:
         """Close the event file."""
@@ -214,14 +201,15 @@ class Recorder:
         """Return whether an evaluation is the best so far, which it then becomes."""
         if evaluated is None:
             return False
-        score, mean_return, count = evaluated["score_mean"], evaluated["return_mean"], evaluated["episodes"]
+        count, best = evaluated["episodes"], self.checkpoint.best
         if evaluated["diverged_episodes"] == count:
             self._tell_event(f"all {count} episodes of the evaluation diverged: its score does not count")
             return False
-        is_best = self.checkpoint.best.is_beaten_by(score, mean_return)
-        if is_best:
-            best = Best(generation=evaluated["generation"], score=score, mean_return=mean_return)
-            self.checkpoint = replace(self.checkpoint, best=best)
+        found = Best(
+            generation=evaluated["generation"], score=evaluated["score_mean"], mean_return=evaluated["return_mean"]
+        )
+        is_best = (found.score, found.mean_return) >= (best.score, best.mean_return)
+        self.checkpoint = replace(self.checkpoint, best=found if is_best else best)
         return is_best
 
     def _save(self, state: Any, *, is_best: bool) -> None:
@@ -250,22 +238,15 @@ class Recorder:
         self._tell("on_event", event)
 
     def _tell(self, method: str, *content: Any) -> None:
-        """Tell the listeners; one of them may end the run."""
-        if self._listeners.tell(method, *content) and not self._is_stopped:
-            logger.info("a listener ends the run")
-            self._is_stopped = True
-
-
-class _LogFile(logging.FileHandler):
-    """A log file whose errors are ignored: a full disk ends the run when tables or checkpoints are written."""
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
-        """Drop the record."""
-
-    def close(self) -> None:
-        """Close the file, even if buffered text cannot be written."""
-        with suppress(OSError):
-            super().close()
+        """Call `method` of every listener that has it; one of them may end the run."""
+        for methods in self._listeners:
+            try:
+                answer = methods[method](*content) if method in methods else None
+            except StopTraining:
+                answer = True
+            if isinstance(answer, bool | np.bool_) and answer and not self._is_stopped:
+                logger.info("a listener ends the run")
+                self._is_stopped = True
 
 
 @contextmanager
@@ -275,7 +256,8 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     An error that ends the block is logged with its traceback, which says where in the user's own code it began.
     """
     with storage_errors(folder.log):
-        file = _LogFile(folder.log, encoding="utf-8")
+        file = logging.FileHandler(folder.log, encoding="utf-8")
+    file.handleError = lambda *_, **__: None  # a full disk ends the run when tables or checkpoints are written
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     previous = logger.level, logger.propagate
     logger.addHandler(file)
@@ -290,4 +272,5 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     finally:
         logger.removeHandler(file)
         logger.level, logger.propagate = previous
-        file.close()
+        with suppress(OSError):  # buffered text may not fit on the disk
+            file.close()

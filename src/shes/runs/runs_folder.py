@@ -66,14 +66,12 @@ def _value(setting: Setting, text: str) -> Any:
         return None
     reads = {int: int, float: float, bool: {"true": True, "false": False}.__getitem__}
     read = reads.get(setting.item, str)
+    is_tuple, is_empty = setting.kind is tuple, text == "none"
     try:
-        if setting.kind is tuple:
-            return setting.checked(tuple(read(word) for word in text.split("x")) if text != "none" else ())
-        return setting.checked(read(text))
-    except ConfigError:
-        raise
+        value = tuple(read(word) for word in text.split("x") if not is_empty) if is_tuple else read(text)
     except (KeyError, ValueError) as error:
         raise out_of_range(setting.name, text, setting.allowed, f"--sweep {setting.name}=...") from error
+    return setting.checked(value)
 
 
 def vary(

@@ -8,7 +8,6 @@ from __future__ import annotations
 import difflib
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -59,7 +58,7 @@ class ShippedAgent:
 
     description: str
     env: str
-    commands: tuple[str, ...]
+    commands: list[str]
     cores: int
     hours: float
     """Wall-clock time of its run, in hours."""
@@ -75,15 +74,7 @@ class ShippedAgent:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description as JSON types."""
-        return {**asdict(self), "commands": list(self.commands)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> ShippedAgent:
-        """Return the description that `to_dict` converted; raise KeyError or TypeError for other keys."""
-        given = values["evaluation"]
-        others = {name: None if given[name] is None else FreshScore(**given[name]) for name in ("constant", "random")}
-        evaluation = FreshEvaluation(**{**given, **others})
-        return cls(**{**values, "commands": tuple(values["commands"]), "evaluation": evaluation})
+        return asdict(self)
 
 
 def shipped_names() -> tuple[str, ...]:
@@ -103,7 +94,10 @@ def read_agent(name: str) -> ShippedAgent:
         raise UnknownNameError("shipped agent", name, shipped_names(), "`shes list` shows them.")
     file = AGENTS / name / AGENT_FILE
     try:
-        return ShippedAgent.from_dict(json.loads(file.read_text(encoding="utf-8")))
+        values = json.loads(file.read_text(encoding="utf-8"))
+        found = values["evaluation"]
+        others = {name: found[name] and FreshScore(**found[name]) for name in ("constant", "random")}
+        return ShippedAgent(**{**values, "evaluation": FreshEvaluation(**{**found, **others})})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file} is damaged: {error!r}. Install SHES again.") from error
 

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from shes.errors import RunFolderError
+from shes.runs.checkpoint import short_text
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors, write_atomically
-
-_MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
 
 Row = dict[str, Any]
 
@@ -61,10 +60,9 @@ def _columns(path: Path, rows: Sequence[Sequence[str]]) -> dict[str, list[float]
 
 
 def _damaged(path: Path, reason: object) -> RunFolderError:
-    text = " ".join(str(reason).split())[:_MOST_TEXT]
     return RunFolderError(
-        f"{path} cannot be read as a table of numbers: {text}. Restore it from a copy, or empty it to resume without "
-        "the rows so far."
+        f"{path} cannot be read as a table of numbers: {short_text(reason)}. Restore it from a copy, or empty it to "
+        "resume without the rows so far."
     )
 
 

@@ -30,7 +30,7 @@ from shes.runs.evaluate import logger
 from shes.runs.folder import RunFolder, checked_out, differing, new_folder
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import with_display
-from shes.runs.recorder import AnyListener, Listeners, Recorder, run_log
+from shes.runs.recorder import AnyListener, Recorder, listener_methods, run_log
 from shes.runs.tables import read_csv, trained_minutes
 from shes.runs.transfer import check_robot, transfer
 from shes.types import F64Array, Listing
@@ -123,7 +123,7 @@ def train(
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
-    listeners, place = Listeners(listener), None if out is None else checked_out(out)
+    listeners, place = listener_methods(listener), None if out is None else checked_out(out)
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
@@ -152,19 +152,13 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         listener: Receives the progress, as in `train`.
         progress: Whether to show the progress; only in a terminal or a notebook if None.
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
-
-    Raises:
-        CheckpointError: The last checkpoint is damaged or from another run.
-        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
     """
     with with_display(listener, progress) as heard:
         return _resume_run(path, heard, settings)
 
 
 def _resume_run(path: Path | str, listener: AnyListener, settings: dict[str, Any]) -> Run:
-    """Continue the run at `path`; see `resume`."""
-    listeners = Listeners(listener)
-    folder = RunFolder.open(path)
+    listeners, folder = listener_methods(listener), RunFolder.open(path)
     check_resumable(settings)
     config = folder.read_config().having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
@@ -236,10 +230,7 @@ def check_resumable(names: Iterable[str]) -> None:
 def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, _Interruption]]:
     """Yield the started backend of the run, with Ctrl-C and SIGTERM delayed."""
     config: TrainConfig = algorithm.problem.settings
-    with (
-        _Interruption() as interruption,
-        build_backend(config, algorithm.plan(), most_episodes(config)) as backend,
-    ):
+    with _Interruption() as interruption, build_backend(config, algorithm.plan(), most_episodes(config)) as backend:
         yield backend, interruption
 
 
@@ -268,8 +259,7 @@ def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, _Interruption
 
 
 def _run(folder: RunFolder, config: TrainConfig, last: Checkpoint) -> Run:
-    reached = {"generation": last.generation, "env_steps": last.env_steps, "best": last.best}
-    return Run(path=folder.path, config=config, **reached)
+    return Run(path=folder.path, config=config, generation=last.generation, env_steps=last.env_steps, best=last.best)
 
 
 class _Interruption:
