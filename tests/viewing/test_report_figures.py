@@ -48,7 +48,6 @@ def test_every_column_that_changes_has_a_panel(kinds):
         "score, evaluation",
         "return, evaluation",
         "primitive return, evaluation",
-        "goals reached, evaluation",
         "success rate, evaluation",
         "controller return, training",
         "primitive return, training",
