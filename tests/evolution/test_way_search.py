@@ -1,4 +1,4 @@
-"""The search for a way beside evolution: when it goes on, what it costs, and whom its way guides."""
+"""The search for a way during evolution: when it goes on, what it costs, and whom its way guides."""
 
 import math
 from dataclasses import replace
