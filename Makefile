@@ -65,7 +65,7 @@ demo: $(STAMP) ## an ant learns to walk and to collect food: under four minutes
 demo-point: $(STAMP) ## the same with a point robot: three minutes
 	$(DEMO_COMMAND) point
 
-test: $(STAMP) ## fast tests, no extras: about 4 minutes on 2 cores
+test: $(STAMP) ## fast tests, no extras: about 2 minutes on 2 idle cores
 	$(PYTEST) -m "not slow and not extras and not gpu and not cluster and not render and not hiro"
 
 # Optional parts come only with the tests that need them.
