@@ -8,7 +8,6 @@ import numpy as np
 
 from shes.agents.mlp import MLP
 from shes.envs.named_environments import make_task
-from shes.envs.observation_spec import bounds
 from shes.envs.tasks.task import Task
 from shes.es import EvolutionStrategy
 
@@ -18,7 +17,7 @@ POLICIES, EPISODES, STEPS, GENERATIONS = 60, 2, 100, 30
 def play(task: Task, mlp: MLP, policies: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Return the mean return [P] of `policies` [P, D] over the episodes with these `seeds` [E], the same for all."""
     episodes = np.arange(task.num_episodes)
-    _, high = bounds(task.observation_spec)
+    high = np.array([element.high for element in task.observation_spec])
     scale = np.where(np.isfinite(high), high, 10.0)  # positions, in metres, reach 12
     task.reset(episodes, np.tile(seeds, len(policies)))
     for _ in range(STEPS):

@@ -47,7 +47,7 @@ def make(request):
 
 def task_model(name, spec, **options):
     environment = ENVIRONMENTS[name]
-    return environment.task.build_world(environment.body(), environment.options(spec=spec, **options)).compile()
+    return environment.task.build_world(environment.body(), environment.task.Options(spec=spec, **options)).compile()
 
 
 def in_the_air(model, rng):
