@@ -1,4 +1,4 @@
-"""What a level sees: a view, which is a part of the environment's observation, and a clock; a run's choices of views.
+"""Views and clocks, which make the inputs of a level from an observation, and the choices of views of a run.
 
 Source: SHES paper II-D (a transferred primitive sees the robot's own coordinates); `docs/learning.md` (egocentric
 views).

@@ -34,7 +34,7 @@ class Stage(NamedTuple):
     """Name of the run folder and of its video."""
     env: str
     result: str
-    """What is printed of its episodes, in words."""
+    """Text printed about its episodes."""
     column: str
     """The same, as a field of `Evaluation`."""
     view: Mapping[str, Any]
@@ -61,7 +61,7 @@ DEMOS = {
     ),
     "point": (_POINT, Stage("gathering", "point-gather", _SCORE, "scores", _GATHERING)),
 }
-"""What happens in the demo of each robot, in words and in stages."""
+"""The stages of each robot's demo, with the text printed before them."""
 
 
 def main() -> int:

@@ -56,7 +56,7 @@ class WorkerSettings(Settings):
     """Workers."""
 
     backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
-    """What runs the episodes on the CPU."""
+    """Engine that runs the episodes on the CPU."""
     num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
     """Worker processes; 0 is one for every core. Does not affect results."""
     chunk_size: Annotated[int, Ge(0), Execution()] = 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,6 +32,7 @@ from shes.types import Listing
 
 _RECORD = "runs.json"
 _FORMAT = 1
+_MOST_RUNS = 1_000
 _ELSEWHERE = {"seed": "Give several seeds by --seed 1 2 3.", "env": "Runs of a folder have one environment."}
 
 
@@ -93,6 +95,9 @@ def vary(
     for seed in seeds:
         if seeds.count(seed) > 1:
             raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")
+    count = len(seeds) * math.prod(map(len, sweep.values()))
+    if count > _MOST_RUNS:
+        raise ConfigError(f"these are {count:,} runs; at most {_MOST_RUNS:,} are allowed. Sweep fewer values.")
     found: dict[str, TrainConfig] = {}
     for texts in itertools.product(*sweep.values()):
         values = {name: sweep[name][text] for name, text in zip(sweep, texts, strict=True)}
