@@ -28,7 +28,7 @@ class Env(gymnasium.Env):
             file.write(f"{what} {os.getpid()} {id(self)}\\n")
 
     def __init__(self, render_mode=None, fault=""):
-        self.fault, self.memory = fault, np.ones(10**7 if fault == "heavy" else 1)
+        self.fault, self.memory = fault, np.ones(5 * 10**7 if fault == "heavy" else 1)
         self.note("made")
 
     def reset(self, *, seed=None, options=None):

@@ -73,30 +73,38 @@ def test_options_that_do_not_fit_together_are_refused(name, options, message):
         make_task(name, 1, ENVIRONMENTS[name].task.Options(**options))
 
 
-def test_the_reward_is_the_way_left_through_the_waypoints():
+def test_the_reward_is_the_progress_through_the_waypoints():
     options = {"target": (6.0, 8.0), "waypoints": (6.0, 0.0, 6.0, 4.0), "reset_noise": 0.0}
-    task = make_task("point-maze", 2, MazeOptions(**options))
-    both = np.arange(2)
-    task.reset(both, [1, 2])
+    task, both = make_task("point-maze", 2, MazeOptions(**options)), np.arange(2)
 
-    def reward_at(*places):
+    def rewards(*places):
         task.sim.qpos[:, :2] = places
-        return task.update_features().tolist()
+        return task.update_features()
 
+    def start(seeds, *lengths):
+        task.reset(both[: len(seeds)], seeds)
+        assert rewards((0, 0), (0, 0))[: len(seeds)].tolist() == [0] * len(seeds)  # nothing came before
+        left[: len(seeds)] = lengths
+
+    def left_at(*places):
+        left[:] -= rewards(*places)
+        return left.tolist()
+
+    left = np.zeros(2)
+    start([1, 2], 14, 14)
     # The second robot stays, so that an index shared by the episodes would show.
-    assert reward_at((0, 0), (0, 0)) == [-14, -14]
-    assert reward_at((2.9, 0), (0, 0)) == pytest.approx([-11.1, -14])  # 3.1 m from the first
-    assert reward_at((3.1, 0), (0, 0)) == pytest.approx([-(np.hypot(2.9, 4) + 4), -14])  # 2.9 m from it: passed
-    assert reward_at((0, 0), (0, 0)) == pytest.approx([-(np.hypot(6, 4) + 4), -14])  # and it stays so
-    assert reward_at((6, 1.5), (0, 0)) == [-6.5, -14]
-    assert reward_at((6, 8), (0, 0)) == [0, -14]
+    assert left_at((2.9, 0), (0, 0)) == pytest.approx([11.1, 14])  # 3.1 m from the first
+    assert left_at((3.1, 0), (0, 0)) == pytest.approx([np.hypot(2.9, 4) + 4, 14])  # 2.9 m from it: passed
+    assert left_at((0, 0), (0, 0)) == pytest.approx([np.hypot(6, 4) + 4, 14])  # and it stays so
+    assert left_at((6, 1.5), (0, 0)) == pytest.approx([6.5, 14])
+    assert left_at((6, 8), (0, 0)) == pytest.approx([0, 14])
     assert task.distance.tolist() == [0, 10]
-    task.reset(both[:1], [3])
-    assert reward_at((0, 0), (6, 0)) == [-14, -8]
+    start([3], 14)
+    assert left_at((0, 0), (6, 0)) == pytest.approx([14, 8])
     # Between 3 and 6 m of a waypoint it is passed where the next one is nearer.
-    task.reset(both, [3, 4])
-    assert reward_at((10, 2.1), (1, 3.4)) == pytest.approx([-(np.hypot(4, 1.9) + 4), -(np.hypot(5, 3.4) + 8)])
-    assert reward_at((2, 6.1), (1, 1.9)) == pytest.approx([-np.hypot(4, 1.9), -(np.hypot(5, 1.9) + 8)])
+    start([3, 4], 14, 14)
+    assert left_at((10, 2.1), (1, 3.4)) == pytest.approx([np.hypot(4, 1.9) + 4, np.hypot(5, 3.4) + 8])
+    assert left_at((2, 6.1), (1, 1.9)) == pytest.approx([np.hypot(4, 1.9), np.hypot(5, 1.9) + 8])
     evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
     evaluated.reset(both[:1], [1])
     assert evaluated.update_features().tolist() == [-5]
@@ -119,6 +127,8 @@ def test_a_tilt_beyond_the_limit_is_a_fall_in_training_alone(name, limit, evalua
     if not ends_by_itself:  # a robot stays where it fell
         assert task.ends_early == any(expected)
         assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
+        task.set_way(np.ones((2, len(task.own_target))))
+        assert not task.reward_after_end.any()  # it makes no progress
     task.sim.qpos[:, 2] -= 0.7  # the torso lies on the floor
     assert task.terminated.tolist() == task.fallen.tolist() == [ends_by_itself or any(expected)] * len(TILTS)
 

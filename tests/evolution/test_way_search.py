@@ -1,8 +1,6 @@
 """The search for a way during evolution: when it goes on, what it costs, and whom its way guides."""
 
-import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -194,15 +192,18 @@ def test_the_reward_of_training_leads_through_the_way_alone(quick, tmp_path):
     training, evaluation = record.of("training")[-1], record.of("evaluation")[-1]
     assert {each.generation.way is None for each in record.of("evaluation")} == {True}
     assert len(way) > 2
-    for each, guide in ((training, training.generation.way.tolist()), (evaluation, [])):
-        batch = each.rollout.batch
+    for each, guide in ((training, training.generation.way), (evaluation, np.zeros((0, 2)))):
+        batch, lengths = each.rollout.batch, []
         batch.reset(np.array([0]), [0])
-        batch.step(np.array([0]), np.zeros((batch.num_episodes, 2)))
-        points = [batch.position[0].tolist(), *guide, batch.target[0].tolist()]
-        legs = [math.dist(one, other) for one, other in pairwise(points)]
-        skipped = [sum(legs[1:]) + math.dist(points[0], points[1])]
-        skipped += [math.dist(points[0], points[i]) + sum(legs[i:]) for i in range(1, len(points))]
-        assert min(abs(batch.reward[0] + each) for each in skipped) < 1e-6  # near waypoints are passed at once
+        for power in [0] * 20 + [1]:  # near waypoints are passed, one a step; then it moves
+            batch.step(np.array([0]), np.full((batch.num_episodes, 2), power))
+            points = np.array([batch.position[0], *guide, batch.target[0]])
+            legs = np.hypot(*np.diff(points, axis=0).T)
+            straight = np.hypot(*(points[1:] - points[0]).T)  # to any point, and along the path from there
+            lengths.append(straight + np.append(np.cumsum(legs[:0:-1])[::-1], 0))
+        before, now = lengths[-2:]
+        expected = before - now if len(guide) else -now
+        assert min(abs(batch.reward[0] - expected)) < 1e-6 < max(abs(before - now))
 
 
 def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path):

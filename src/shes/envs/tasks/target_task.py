@@ -40,7 +40,7 @@ class TargetOptions(FallOptions):
     """Target of evaluation in metres; none is the task's own."""
     waypoints: Coordinates | None = None
     """Points on the path to the target, in order. Each is passed within 3 m, or within 6 m if the next one is nearer.
-    The reward of training is minus the remaining length of the path. Evaluation does not use them."""
+    The reward of training is the progress along the path, in metres. Evaluation does not use them."""
 
     @property
     def has_random_target(self) -> bool:
@@ -100,6 +100,7 @@ class TargetTask(Task):
         self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
         self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
         self._next[:] = 0  # rows that are not reset may have passed more points than there are now
+        self._left: F64Array = self.xp.full(self.num_episodes, np.nan)  # metres of the path at the last step
 
     def places(self, states: F64Array) -> Places:
         """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`.
@@ -194,8 +195,8 @@ class TargetTask(Task):
 
     @property
     def reward_after_end(self) -> F64Array:
-        """The last reward of a robot that has fallen [N]: it would stay where it is."""
-        return np.where(self.fallen, self.reward, 0.0)
+        """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
+        return np.where(self.fallen & (self._num_waypoints == 0), self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:
@@ -222,20 +223,24 @@ class TargetTask(Task):
         rows = self.xp.asarray(ids)
         self.target[rows] = self.xp.asarray(chosen)
         self._next[rows] = 0
+        self._left[rows] = np.nan
 
     def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Return a target of training; called only if no option fixes it."""
         return self.own_target
 
     def update_features(self) -> F64Array:
-        """Return the reward [N]: minus the distance to the target, or minus the way left through the waypoints."""
+        """Return the reward [N]: minus the distance to the target, or the progress through the waypoints."""
         if not self._num_waypoints:
             return -self.distance
         distance = self._distance_to(self._way[self._next])
         beyond = self._distance_to(self._way[np.minimum(self._next + 1, self._num_waypoints)])
         passed = (distance < PASSED_DISTANCE_M) | ((distance < BYPASSED_DISTANCE_M) & (beyond < distance))
         self._next += passed & (self._next < self._num_waypoints)
-        return -(self._distance_to(self._way[self._next]) + self._way_beyond[self._next])
+        left = self._distance_to(self._way[self._next]) + self._way_beyond[self._next]
+        progress = np.where(np.isnan(self._left), 0.0, self._left - left)
+        self._left = left
+        return progress
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
