@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from shes.agents.agent import AgentInputs
 from shes.rollout.episodes import wander
 
 EXPLORATION_STD = 0.01
@@ -66,14 +67,8 @@ def play(design, make_batch, task, generation, table, horizon):
     found, seen = [None] * rows, SimpleNamespace(states=[], goals=[], ends=[None] * rows)
     for step in range(horizon):
         noise = {"decision_noise": decision[None, :, step // interval]} if design.decision_size else {}
-        action = agent.act(
-            batch.observe(),
-            batch.position,
-            batch.heading,
-            goal=batch.goal,
-            control_noise=control[None, :, step],
-            **noise,
-        )
+        seen_now = batch.observe(), batch.position, batch.heading, batch.goal
+        action = agent.act(AgentInputs(*seen_now, control_noise=control[None, :, step], **noise))
         if hasattr(batch, "states"):
             seen.states.append(batch.states(np.arange(rows)))
             seen.goals.append(None if agent.goal is None else agent.goal - batch.position)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from shes.agents.agent import AgentInputs
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.runs.build import build_algorithm
@@ -22,7 +23,7 @@ def deciding(output, lanes=1, **options):
 
 def act(agent, position):
     position = np.broadcast_to(np.array(position, float), (agent.num_rows, 2)).copy()
-    agent.act(np.zeros((agent.num_rows, designs.OBSERVED)), position, np.zeros(agent.num_rows))
+    agent.act(AgentInputs(np.zeros((agent.num_rows, designs.OBSERVED)), position, np.zeros(agent.num_rows)))
     return agent.goal - position
 
 
@@ -75,7 +76,7 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
         for own, level in zip(agent.levels, levels, strict=True):
             own.theta[0] = level.theta
         agent.start(slice(None))
-        agent.act(observation, position, np.zeros(len(observation)))
+        agent.act(AgentInputs(observation, position, np.zeros(len(observation))))
         return agent.goal - position
 
     observation, angle = rng.uniform(0, 1, (6, 25)), np.pi / 5

@@ -68,19 +68,17 @@ class VectorOutput(ControllerOutput):
         return output.astype(np.float64) * goal_distance
 
 
-class HeadingVectorOutput(ControllerOutput):
+class HeadingVectorOutput(VectorOutput):
     """Vector to the goal relative to the heading (ahead, left), in goal distances.
 
     Deviation: the paper's controller outputs a vector in the world frame. If the task's observation is relative to the
     heading, as in Gather, the network then has to learn the rotation first.
     """
 
-    size = 2
-
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return `output` times the goal distance, rotated by the heading."""
-        ahead, left = (output[:, i].astype(np.float64) * goal_distance for i in range(2))
-        cosine, sine = np.cos(heading), np.sin(heading)
+        vector = super().vector(output, heading, goal_distance)
+        ahead, left, cosine, sine = vector[:, 0], vector[:, 1], np.cos(heading), np.sin(heading)
         return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
 
 
@@ -94,21 +92,13 @@ class DirectionOutput(VectorOutput):
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
-        return super().vector(_direction(output), heading, goal_distance)
+        values = output.astype(np.float64)
+        length = np.sqrt((values * values).sum(axis=1, keepdims=True))
+        return super().vector(values / np.maximum(length, 1e-9), heading, goal_distance)
 
 
-class HeadingDirectionOutput(HeadingVectorOutput):
+class HeadingDirectionOutput(HeadingVectorOutput, DirectionOutput):
     """Direction of the goal relative to the heading (ahead, left), at the goal distance; see `DirectionOutput`."""
-
-    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
-        """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
-        return super().vector(_direction(output), heading, goal_distance)
-
-
-def _direction(output: F64Array) -> F64Array:
-    """Return the outputs [N, 2] as vectors of length 1, or 0 for outputs of 0."""
-    values = output.astype(np.float64)
-    return values / np.maximum(np.sqrt((values * values).sum(axis=1, keepdims=True)), 1e-9)
 
 
 class OneHotOutput(ControllerOutput):

@@ -49,13 +49,8 @@ def divide(tasks: Sequence[EpisodeTask], num_workers: int) -> Sequence[EpisodeTa
     count = min(range(1, size + 1), key=longest_share, default=1)
     if count == 1:
         return tasks
-    return [part for task in tasks for part in _parts(task, count)]
-
-
-def _parts(task: EpisodeTask, count: int) -> list[EpisodeTask]:
-    size = len(task.slots)
-    cuts = [i * size // count for i in range(count + 1)]
-    return [task.part(*cut) for cut in pairwise(cuts) if cut[0] < cut[1]]
+    borders = ((task, [i * len(task.slots) // count for i in range(count + 1)]) for task in tasks)
+    return [task.part(*cut) for task, cuts in borders for cut in pairwise(cuts) if cut[0] < cut[1]]
 
 
 def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
