@@ -94,30 +94,19 @@ def assert_same(found, expected):
 
 
 @pytest.mark.parametrize(
-    ("name", "lanes", "episodes"),
+    ("name", "lanes", "episodes", "changed"),
     [
-        *((name, 8, 3) for name in CHOICES),
-        *((name, 2, 1) for name in ("gather", "flat", "one level in turns")),  # members share their noise
-        ("gather", 3, 3),  # a population that does not fit goes in waves
+        *((name, 8, 3, {}) for name in CHOICES),
+        *((name, 2, 1, {}) for name in ("gather", "flat", "one level in turns")),  # members share their noise
+        ("gather", 3, 3, {}),  # a population that does not fit goes in waves
+        *(("equivariant", 8, 3, {"decisions": each, "is_evaluation": True}) for each in ("zero", "wander", 0.5)),
     ],
 )
-def test_a_device_gives_the_cpus_numbers_with_two_waits_a_step(name, lanes, episodes):
-    found, waits = run(name, DeviceSimulator, lanes, strict_xp, episodes)
-    assert_same(found, run(name, CpuSimulator, 8, episodes=episodes)[0])
+def test_a_device_gives_the_cpus_numbers_with_two_waits_a_step(name, lanes, episodes, changed):
+    found, waits = run(name, DeviceSimulator, lanes, strict_xp, episodes, **changed)
+    assert_same(found, run(name, CpuSimulator, 8, episodes=episodes, **changed)[0])
     assert waits.min() == np.median(waits) == 2  # more where episodes ended
     assert (len(found) < 8) == (episodes == 1)
-
-
-@pytest.mark.parametrize("name", ["gather", "one-hot", "equivariant"])
-def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
-    ends = set()
-    for decisions in ("zero", "random", "wander", 0.5):
-        asked = {"decisions": decisions, "is_evaluation": True}
-        found, waits = run(name, DeviceSimulator, 8, strict_xp, **asked)
-        assert_same(found, run(name, CpuSimulator, 8, **asked)[0])
-        assert waits.min() == np.median(waits) == 2  # more where episodes ended
-        ends.add(found[0].final_position.tobytes())
-    assert len(ends) == 4
 
 
 def test_lanes_of_a_device_start_together():
