@@ -1,12 +1,9 @@
-"""A population: what is drawn for its members, what their results add up to, and what these are worth to each level."""
+"""A population: what is drawn for its members, and what their results are worth to each level."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, OneToManyHalves
@@ -16,7 +13,6 @@ from shes.rollout.episodes import Generation
 from shes.rollout.roll_out import PopulationResults, lower_diverged
 from tests.es.textbook import centred_ranks, group_signs
 from tests.rollout.formula import SETTINGS, formula_state, shaped_fitness
-from tests.rollout.made_up import make_result, make_task
 
 # What is drawn --------------------------------------------------------------------------------------------------------
 
@@ -73,31 +69,7 @@ def test_a_share_of_the_groups_is_recorded_as_a_whole(fraction):
     assert flags[160:240:4] == numbers_of((4, 2), lambda rng: rng.random(20) < fraction)
 
 
-# What results add up to -----------------------------------------------------------------------------------------------
-
-
-@given(episodes=st.integers(1, 6), cuts=st.sets(st.integers(1, 5)), member=st.integers(2, 3))
-def test_the_parts_of_a_task_are_the_task(episodes, cuts, member):
-    """Their results too, added to a population one by one; the second member records nothing."""
-    task = make_task(member, range(70, 70 + episodes), snapshot_steps=tuple(range(episodes)))
-    borders = [0, *sorted(cut for cut in cuts if cut < episodes), episodes]
-    parts = [task.part(*border) for border in pairwise(borders)]
-    for name in ("slots", "seeds", "snapshot_steps"):
-        assert sum((getattr(part, name) for part in parts), ()) == getattr(task, name), name
-    whole, results = make_result(task, log=("a",)), [make_result(part, log=("a",)) for part in parts]
-    populations = [PopulationResults.empty(2, 4, episodes) for _ in range(2)]
-    populations[0].add(task, whole)
-    for part, result in zip(parts, results, strict=True):
-        populations[1].add(part, result)
-    assert np.array_equal(populations[0].outcomes, populations[1].outcomes)
-    assert np.array_equal(populations[1].outcomes[member], whole.outcomes)
-    assert not populations[1].steps[:2].any()
-    assert populations[1].log == ["a"] * len(parts)
-    assert populations[1].seconds.tolist() == (len(parts) * whole.seconds).tolist()
-    assert len(populations[1].moments) == (2 if member == 2 else 0)
-    for mine, other in zip(*(each.moments for each in populations), strict=True):
-        assert [mine.total.tobytes(), mine.count.tolist()] == [other.total.tobytes(), other.count.tolist()]
-        assert mine.total_squares.tobytes() == other.total_squares.tobytes()
+# What results are worth -----------------------------------------------------------------------------------------------
 
 
 def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
@@ -114,9 +86,6 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
         assert results.returns[0].tolist() == returns  # what is reported stays what it was
     values = np.array([[1.0, 5.0], [3.0, 2.0]])
     assert lower_diverged(values, np.zeros((2, 2), bool)) is values
-
-
-# What they are worth --------------------------------------------------------------------------------------------------
 
 
 def rolled_out(signs, episodes):
