@@ -43,12 +43,12 @@ def pay(name, left, before, moved, way):
     Since the goal was set the robot has `moved`; the goal was at `way` then. Both are vectors.
     """
     moved, way = complex(*moved), complex(*way)
-    lengths = abs(moved) * abs(way)
+    cosine = moved / (abs(moved) or 1) * (way / (abs(way) or 1)).conjugate()
     return {
         "progress": 1 - left / max(abs(way), 1e-3) + (1 if left < 1 else 0),
         "metres": 4 * (before - left) + (0.2 if left < 1 else 0),
         "negative_distance": -left,
-        "cosine": (moved.real * way.real + moved.imag * way.imag) / lengths if lengths else 0,
+        "cosine": cosine.real,
     }[name]
 
 
