@@ -127,14 +127,11 @@ class Case:
     def check(self, population):
         """Compare each task's outcomes with the plain loop; return what that saw, by the task's first member."""
         found = {task.member: self.play(task, population.generation) for task in population.tasks}
-        outcomes = population.results.outcomes[:, 0]
         for member, played in found.items():
-            for k, own in enumerate(played.found):
-                mine = {name: outcomes[member + k][name].tolist() for name in outcomes.dtype.names}
-                assert mine == {name: own[name] for name in mine}
-        counts = [[own["moments"][level][0] for played in found.values() for own in played.found]
-                  for level in range(len(population.levels))]  # fmt: skip
-        assert [int(m.count[0]) for m in population.results.moments] == [sum(each) for each in counts]
+            mine = population.results.outcomes[member : member + len(played.outcomes), 0]
+            assert np.array_equal(mine, played.outcomes)
+        for level, moments in enumerate(population.results.moments):
+            assert moments.count == sum(np.array(played.moments[level])[:, 0].sum() for played in found.values())
         return found
 
 
@@ -165,14 +162,14 @@ def test_a_snapshot_is_the_state_at_its_decision_with_its_goals(beside, whole):
     played, snapshots, seen = beside.check(whole), whole.results.snapshots, []
     for task in whole.tasks:
         for slot, wanted in zip(task.slots, task.snapshot_steps, strict=True):
-            run, steps = played[task.member], played[task.member].found[slot]["steps"]
+            run, steps = played[task.member], played[task.member].outcomes[slot]["steps"]
             assert ((task.member + slot, 0) in snapshots) == (steps > wanted)
             if steps > wanted:
                 left, decisions = snapshots[task.member + slot, 0], range(wanted, min(steps, wanted + 15), STEPS)
                 goals = [run.goals[decision][slot] for decision in decisions]
                 assert (left.steps, left.state.tobytes()) == (wanted, run.states[wanted][slot].tobytes())
                 assert left.goals.tobytes() == np.array(goals + goals[-1:] * (3 - len(goals))).tobytes()
-                seen.append((len(goals), run.found[slot]["has_fallen"]))
+                seen.append((len(goals), run.outcomes[slot]["has_fallen"]))
             else:
                 seen.append((0, True))
     assert {(0, True), (1, False), (2, False), (3, False)} <= set(seen)
@@ -193,7 +190,7 @@ def test_a_branch_is_what_a_plain_loop_makes_of_its_start(beside, whole):
                 assert run.states[0].tobytes() == np.tile(task.start.state, (2, 1)).tobytes()
             for number, goal in enumerate(task.start.goals):
                 for row in range(2):
-                    if run.found[row]["steps"] > number * STEPS:
+                    if run.outcomes[row]["steps"] > number * STEPS:
                         assert run.goals[number * STEPS][row] == pytest.approx(goal, abs=1e-12)
         assert pairs.results.snapshots == {}
         assert np.ptp(pairs.results.returns[0].reshape(-1, 2), axis=1).all()  # the two sides differ
@@ -207,7 +204,7 @@ def test_running_episodes_go_on_where_the_kept_side_ended(alone):
         played = alone.check(pairs)
         for group, task in enumerate(pairs.tasks):
             before, kept = 0 if task.start is None else task.start.steps, task.kept_slot
-            run, has_fallen = played[task.member], played[task.member].found[kept]["has_fallen"]
+            run, has_fallen = played[task.member], played[task.member].outcomes[kept]["has_fallen"]
             goes_on = not has_fallen and before + 10 < 30
             seen.add((before, has_fallen, goes_on))
             assert (-1 if running is None else running.steps[group]) == (before + 10 if goes_on else -1)
