@@ -72,20 +72,6 @@ def test_initial_parameters_are_glorot_normal_layer_by_layer():
     assert np.mean(sums, axis=0) == pytest.approx(expected, rel=0.1)
 
 
-@pytest.mark.parametrize("biases", ["zero", "glorot_normal"])
-@pytest.mark.parametrize("output", ["zero", "glorot_normal"])
-@pytest.mark.parametrize("hidden", [(), (7, 5)])
-def test_initialisations_differ_only_where_they_say(hidden, output, biases):
-    mlp, rngs = MLP(4, hidden, 3), [np.random.default_rng(1) for _ in range(2)]
-    found = _layers(mlp.initial(rngs[0], biases, output), mlp.sizes)
-    full = _layers(mlp.initial(rngs[1], "glorot_normal"), mlp.sizes)
-    for number, ((weights, bias), (all_weights, all_biases)) in enumerate(zip(found, full, strict=True)):
-        is_drawn = output != "zero" or number < len(hidden)
-        assert np.array_equal(weights, all_weights * is_drawn)
-        assert np.array_equal(bias, all_biases * (is_drawn and biases != "zero"))
-    assert rngs[0].random() == rngs[1].random()  # the same numbers are drawn
-
-
 @pytest.mark.parametrize("hidden", [(0,), (64, -1)])
 def test_a_layer_that_is_not_positive_is_refused(hidden):
     message = r"hidden must be positive whole numbers, e\.g\. --hidden 64 64, got \(.*--hid"

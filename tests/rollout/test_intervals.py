@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from shes.backends.backend import SerialBackend
-from shes.es.level import draw_noise_index, update_level
+from shes.es.level import draw_noise_index
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.estimates import IntervalEstimate, draw_episodes, draw_pairs
 from shes.rollout.episodes import Snapshot
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state, shaped_fitness, start_state
+from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state, start_state
 from tests.rollout.plain_loop import play
 
 PAIRS = 6
@@ -214,21 +214,3 @@ def test_running_episodes_go_on_where_the_kept_side_ended(alone):
             assert old < 0 or bits(task.start) == bits(Snapshot(state=state.running.states[group], steps=int(old)))
         state = report.state
     assert {(0, False, True), (10, False, True), (20, False, False), (0, True, False)} <= seen
-
-
-def test_under_a_controller_pairs_alone_teach_the_primitive(beside, whole):
-    report = next(evolve(beside.state, beside.settings, beside.table, beside.backend))
-    first, pairs = report.populations
-    assert bits(first) == bits(whole)
-    assert (first.generation.sigma, first.learning_rate) == (0.3, 0.01)
-    assert (pairs.generation.sigma, pairs.learning_rate) == (0.2, 0.07)
-    for i, (level, source) in enumerate(zip(report.state.levels, (first, pairs), strict=True)):
-        rule, before = beside.settings.updates[i], beside.state.levels[i]
-        shaped, signs = shaped_fitness(source, 0, rule), source.signs[:, :, 0]
-        update = update_level(before, shaped, signs, source.noise_index[0], beside.table, rule, source.learning_rate)
-        assert level.theta.tobytes() == update.level.theta.tobytes() != before.theta.tobytes()
-    controller, primitive = (level.statistics.count for level in report.state.levels)
-    assert (controller, primitive) == (-(-first.results.steps // STEPS).sum(), pairs.results.steps.sum())
-    assert report.state.env_steps == report.num_steps == first.results.steps.sum() + pairs.results.steps.sum()
-    assert report.state.running is None
-    assert report.sources == ((first, 0), (pairs, 0))
