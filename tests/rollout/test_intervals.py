@@ -15,7 +15,7 @@ from shes.rollout.episodes import Snapshot
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state, start_state
+from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state
 from tests.rollout.plain_loop import play
 
 PAIRS = 6
@@ -37,8 +37,7 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number):
     """Snapshots are used evenly; without any, goals are drawn. All pairs of one task share noise, seed and start."""
     left, before, state, settings, generation = None, (), formula_state(), BESIDE, 2
     if number is None:
-        state = start_state([np.arange(7, dtype=np.float32)], (3,), settings=ALONE, names=("primitive",))
-        settings = ALONE
+        state, settings = replace(state, levels=state.levels[1:]), ALONE
     else:
         left = [Snapshot(state=np.full(4, float(n)), steps=STEPS * n, goals=np.ones((2, 2))) for n in range(number)]
         before = (SimpleNamespace(results=SimpleNamespace(snapshots=dict(enumerate(left)))),)

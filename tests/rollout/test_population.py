@@ -8,11 +8,10 @@ import pytest
 from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, OneToManyHalves
 from shes.es.shaping import PairRanks
-from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, Population, draw_episodes
-from shes.rollout.episodes import Generation
+from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, draw_episodes
 from shes.rollout.roll_out import PopulationResults, lower_diverged
 from tests.es.textbook import centred_ranks, group_signs
-from tests.rollout.formula import SETTINGS, formula_state, shaped_fitness
+from tests.rollout.formula import SETTINGS, formula_state
 
 # What is drawn --------------------------------------------------------------------------------------------------------
 
@@ -88,38 +87,22 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
     assert lower_diverged(values, np.zeros((2, 2), bool)) is values
 
 
-def rolled_out(signs, episodes):
-    """Return a population with random returns, some of whose episodes fell; others terminated otherwise."""
-    results, rng = PopulationResults.empty(signs.shape[2], 8, episodes), np.random.default_rng(3)
-    results.returns[:] = rng.normal(size=results.returns.shape)
-    results.has_fallen[:] = rng.random((8, episodes)) < 0.4
-    results.has_terminated[:3] = True
-    own = Generation(levels=(), sigma=0.1, episodes_per_policy=episodes, is_evaluation=False)
-    return Population(levels=(0, 1), signs=signs, noise_index=np.zeros((2, 1), int), tasks=[], generation=own,
-                      learning_rate=0.1, results=results)  # fmt: skip
-
-
 @pytest.mark.parametrize("price", [0.0, 2.5])
 def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(price):
     """A fall takes its price off, in the mean over these members nothing."""
-    population = rolled_out(OneToManyHalves().signs(0, 8, "quad", (True, True)), episodes=2)
-    fitness = population.results.returns.mean(axis=2)
-    before, fallen = population.results.outcomes.tobytes(), population.results.has_fallen.mean(axis=1)
-    population.results.outcomes.flags.writeable = False
+    (fitness, fallen), rule = np.random.default_rng(3).random((2, 8)), UpdateRule(fall_price=price)
+    signs = OneToManyHalves().signs(0, 8, "quad", (True, True))
     for level, own in enumerate(([0, 1, 2, 3], [4, 5, 6, 7])):
-        expected = np.array(centred_ranks(fitness[level, own].tolist(), "average"))
+        expected = np.array(centred_ranks(fitness[own].tolist(), "average"))
         expected -= price * (fallen[own] - fallen[own].mean())
-        assert shaped_fitness(population, level, UpdateRule(fall_price=price)) == pytest.approx(expected)
-    assert population.results.outcomes.tobytes() == before
+        assert rule.shape(fitness, signs[:, :, level], fallen) == pytest.approx(expected)
 
 
 def test_the_price_of_a_fall_goes_past_ranks():
     """Where both of a pair fall it changes nothing; where all fall alike it changes no bit."""
-    population = rolled_out(np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), episodes=1)
-    rule = UpdateRule(shaping=PairRanks())
-    population.results.has_fallen[:, 0] = [0, 1, 0, 0, 1, 1, 1, 0]
-    plain, priced = (shaped_fitness(population, 0, replace(rule, fall_price=price)) for price in (0.0, 15.0))
+    fitness, signs, rule = np.random.default_rng(3).random(8), np.tile([1, -1], (4, 1)), UpdateRule(shaping=PairRanks())
+    dear, fallen = replace(rule, fall_price=15.0), np.array([0, 1, 0, 0, 1, 1, 1, 0])
+    plain, priced = (each.shape(fitness, signs, fallen) for each in (rule, dear))
     assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
-    for share in (False, True):
-        population.results.has_fallen[:] = share
-        assert shaped_fitness(population, 0, replace(rule, fall_price=15.0)).tobytes() == plain.tobytes()
+    for share in (0.0, 1.0):
+        assert dear.shape(fitness, signs, np.full(8, share)).tobytes() == plain.tobytes()

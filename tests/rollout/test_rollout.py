@@ -2,15 +2,13 @@
 
 import random
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 import pytest
 
-import shes.rollout.lockstep
 from shes.errors import PolicyError
 from shes.es.noise import NoiseTable
-from shes.rollout.episodes import PARTS, EpisodeTask, Generation
+from shes.rollout.episodes import EpisodeTask, Generation
 from shes.rollout.lockstep import Rollout
 from tests.rollout import designs
 from tests.rollout.fake_task import FakeEnvironment, FakeTask, make_seed
@@ -151,20 +149,6 @@ def test_tasks_are_taken_when_a_lane_is_free():
         seen.append((number, len(taken)))
     assert seen == [(10, 2), (20, 3), (30, 4), (0, 4)]
     assert results_of(rollout_of(3), []) == {}
-
-
-# Time -----------------------------------------------------------------------------------------------------------------
-
-
-def test_no_part_of_a_step_is_left_out(monkeypatch):
-    """By a clock that ticks when it is asked: five ticks a step, two of them in the agent, three around the physics."""
-    ticks = count()
-    monkeypatch.setattr(shes.rollout.lockstep, "perf_counter", lambda: float(next(ticks)))
-    task = replace(tasks_of()[0], seeds=(make_seed(),) * EPISODES)
-    (result,) = results_of(rollout_of(), [task]).values()
-    assert dict(zip(PARTS, result.seconds.tolist(), strict=True)) == {
-        "physics": 0, "policy": 2 * HORIZON, "task": 3 * HORIZON,
-    }  # fmt: skip
 
 
 # Policies that are not finite -----------------------------------------------------------------------------------------
