@@ -7,6 +7,7 @@ import pytest
 
 from shes.agents import goals, rewards
 from shes.errors import ConfigError
+from shes.options import make
 from tests.e2e.own_classes import Nearness, Vector
 from tests.rollout import plain_agent
 
@@ -19,7 +20,7 @@ ROWS = 200
 
 def encode(name, vector, heading):
     """Return features [N, size] of goals at `vector` [N, 2]."""
-    encoding, vector = goals.make_goal_encoding(name, {}), np.array(vector, float)
+    encoding, vector = make(goals.GOAL_ENCODINGS, name, {}), np.array(vector, float)
     wide = np.full((len(vector), encoding.size + 4), np.nan)  # features stand in front of what else a primitive sees
     encoding.encode(vector, np.sqrt((vector * vector).sum(axis=1)), heading, wide[:, : encoding.size])
     assert np.isnan(wide[:, encoding.size :]).all()
@@ -29,7 +30,7 @@ def encode(name, vector, heading):
 def pay(name, displacement, way):
     """Return rewards [N] after a movement from where the goal was `way` [N, 2]."""
     start = np.maximum(np.hypot(*way.T), 1e-3)  # as the agent gives it
-    return rewards.make_primitive_reward(name, {})(np.hypot(*(way - displacement).T), start, displacement, way)
+    return make(rewards.PRIMITIVE_REWARDS, name, {})(np.hypot(*(way - displacement).T), start, displacement, way)
 
 
 def with_edges(rng, edges):
@@ -51,7 +52,7 @@ def test_features_are_those_of_the_second_implementation(name):
 @pytest.mark.parametrize("name", goals.CONTROLLER_OUTPUTS)
 def test_goals_are_those_of_the_second_implementation(name):
     """Some outputs tie, some are all below 0."""
-    rng, made = np.random.default_rng(5), goals.make_controller_output(name, {})
+    rng, made = np.random.default_rng(5), make(goals.CONTROLLER_OUTPUTS, name, {})
     output, headings = rng.uniform(-1.05, 1.05, (ROWS, made.size)), rng.uniform(-4, 4, ROWS)
     output[:20] = np.round(output[:20])
     output[20:30] -= 2
@@ -99,7 +100,7 @@ class Three(Polar):
 
 @pytest.mark.parametrize("name", goals.CONTROLLER_OUTPUTS)
 def test_the_outputs_of_a_direction_point_there(name):
-    made, angles = goals.make_controller_output(name, {}), np.arange(-8, 16) * np.pi / 4
+    made, angles = make(goals.CONTROLLER_OUTPUTS, name, {}), np.arange(-8, 16) * np.pi / 4
     for heading in (0.0, 2.0):
         seen = angles + heading * (name in TURNS)
         found = made.vector(made.of_direction(angles), np.full(24, heading), 4.0)
@@ -131,23 +132,23 @@ class Column(Nearness):
 
 
 @pytest.mark.parametrize(
-    ("registry", "make", "wrong", "message"),
+    ("registry", "wrong", "message"),
     [
         (
-            goals.GOAL_ENCODINGS, goals.make_goal_encoding, Forgetful,
+            goals.GOAL_ENCODINGS, Forgetful,
             r"write .* each of its 4 features .*left \[1\.0, 1\.0, 1\.414.*, nan\]\. .*`size`",
         ),
         (
-            goals.CONTROLLER_OUTPUTS, goals.make_controller_output, Sideways,
+            goals.CONTROLLER_OUTPUTS, Sideways,
             r"return an array \[N, 2\].*for 3 episodes .* shape \(2, 3\), not \(3, 2\)",
         ),
         (
-            rewards.PRIMITIVE_REWARDS, rewards.make_primitive_reward, Column,
+            rewards.PRIMITIVE_REWARDS, Column,
             r"return an array \[N\].*for 2 episodes it returned shape \(2, 1\), not \(2,\)",
         ),
     ],
 )  # fmt: skip
-def test_a_choice_of_a_wrong_shape_is_refused(registry, make, wrong, message, monkeypatch):
+def test_a_choice_of_a_wrong_shape_is_refused(registry, wrong, message, monkeypatch):
     monkeypatch.setitem(registry, "own", wrong)  # forgotten after this test
     with pytest.raises(ConfigError, match=rf"{registry.kind} 'own' must {message}"):
-        make("own", {})
+        make(registry, "own", {})

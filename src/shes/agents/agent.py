@@ -112,11 +112,6 @@ class AgentDesign(ABC):
         """Number of inputs of each level."""
         return tuple(policy.sizes[0] for policy in self.policies)
 
-    @property
-    def clock_size(self) -> int:
-        """Number of clock features."""
-        return 0 if self.clock is None else self.clock.size
-
 
 class AgentBatch(ABC, Generic[Design]):
     """Agents in P lanes of R episodes each. Rows [N] are ordered by lane.
@@ -203,8 +198,9 @@ class FlatAgent(AgentBatch["FlatDesign"]):
 
     def act(self, inputs: AgentInputs) -> F32Array:
         """Return the controls [N, A] of one step."""
-        clock, size = self.design.clock, self.design.clock_size
+        clock, size = self.design.clock, 0
         if clock is not None:
+            size = clock.size
             clock.write(self.xp.asarray(self.clock), self._inputs[:, :size])
         self._inputs[:, size:] = inputs.observation
         self.clock += 1

@@ -121,11 +121,10 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))  # of the primitives
         clock_start = design.goal_encoding.size
-        view_start = clock_start + design.clock_size
-        self._goal_features, self._clock_features, self._seen = (
-            self._inputs[:, part]
-            for part in (slice(clock_start), slice(clock_start, view_start), slice(view_start, None))
-        )
+        view_start = clock_start + (0 if design.clock is None else design.clock.size)
+        self._goal_features = self._inputs[:, :clock_start]
+        self._clock_features = self._inputs[:, clock_start:view_start]
+        self._seen = self._inputs[:, view_start:]
         self._unturned = self._seen if self._frames is None else xp.zeros_like(self._seen)  # in the robots' own frames
         self._zero_angle: F64Array = xp.zeros(rows)
 

@@ -112,10 +112,9 @@ class Rollout:
         `make_batch` returns the environment for a number of episodes N = P * R. The episodes of a lane belong to
         `members_per_lane` members, which share their noise.
         """
-        self.num_lanes, self.rows_per_lane, self.members_per_lane = num_lanes, rows_per_lane, members_per_lane
         self.shape = num_lanes, rows_per_lane, members_per_lane
-        self.horizon = horizon
-        self.design = design
+        self.num_lanes, self.rows_per_lane, self.members_per_lane = self.shape
+        self.horizon, self.design = horizon, design
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
         self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
