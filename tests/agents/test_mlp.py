@@ -7,16 +7,7 @@ import pytest
 
 from shes.agents.mlp import MLP, RectifiedMLP, aligned_rows
 from shes.errors import ConfigError
-
-
-def _layers(theta, sizes):
-    """Return the explicit (weights, biases) of a flat parameter vector."""
-    layers, rest = [], list(theta)
-    for fan_in, fan_out in itertools.pairwise(sizes):
-        weights = [[rest.pop(0) for _ in range(fan_out)] for _ in range(fan_in)]
-        layers.append((np.array(weights), np.array([rest.pop(0) for _ in range(fan_out)])))
-    assert rest == []
-    return layers
+from tests.rollout import plain_agent
 
 
 def _policies(mlp, count):
@@ -35,11 +26,8 @@ def test_outputs_equal_a_plain_loop_over_policies(hidden, kind):
     outputs = mlp.act(theta, observation)
     assert (outputs.shape, outputs.dtype) == ((4, 5, 3), np.float32)
     for policy, episode in np.ndindex(4, 5):
-        *inner, last = _layers(theta[policy].astype(float), mlp.sizes)
-        x = observation[policy, episode].astype(float)
-        for weights, biases in inner:
-            x = activate(x @ weights + biases)
-        assert outputs[policy, episode] == pytest.approx(np.tanh(x @ last[0] + last[1]), abs=1e-5)
+        expected = plain_agent.network(mlp, theta[policy], observation[policy, episode], activate)
+        assert outputs[policy, episode] == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("episodes", [1, 3, 8])

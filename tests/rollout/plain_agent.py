@@ -57,12 +57,13 @@ def push_outward(vector):
     return [math.copysign(max(abs(x), math.sqrt(0.5)), x or 1.0) for x in vector]
 
 
-def network(mlp, theta, inputs):
+def network(mlp, theta, inputs, activate=np.tanh):
     """Return the outputs of a network with `theta`, weights and biases layer by layer."""
     x, rest = np.asarray(inputs, float), np.asarray(theta, float)
     for fan_in, fan_out in zip(mlp.sizes, mlp.sizes[1:], strict=False):
         weights, biases, rest = np.split(rest, [fan_in * fan_out, (fan_in + 1) * fan_out])
-        x = np.tanh(x @ weights.reshape(fan_in, fan_out) + biases)
+        x = x @ weights.reshape(fan_in, fan_out) + biases
+        x = activate(x) if len(rest) else np.tanh(x)
     return x
 
 

@@ -9,7 +9,7 @@ from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, OneToManyHalves
 from shes.es.shaping import PairRanks
 from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, draw_episodes
-from shes.rollout.roll_out import PopulationResults, lower_diverged
+from shes.rollout.roll_out import PopulationResults
 from tests.es.textbook import centred_ranks, group_signs
 from tests.rollout.formula import SETTINGS, formula_state
 
@@ -83,8 +83,6 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
         results.has_diverged[:] = has_diverged
         assert results.fitness.tolist() == [fitness, np.add(fitness, 100).tolist()]
         assert results.returns[0].tolist() == returns  # what is reported stays what it was
-    values = np.array([[1.0, 5.0], [3.0, 2.0]])
-    assert lower_diverged(values, np.zeros((2, 2), bool)) is values
 
 
 @pytest.mark.parametrize("price", [0.0, 2.5])
