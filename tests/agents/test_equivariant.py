@@ -37,7 +37,7 @@ def test_transformed_inputs_give_transformed_outputs(actions):
         assert np.abs(turned - plain).max() > 0.01
 
 
-def test_a_ring_has_the_parameters_of_a_symmetric_circular_convolution():
+def test_a_ring_has_the_parameters_of_a_symmetric_convolution():
     """Of a kernel of five sectors there are three distances, of ten there are six; and a bias per channel."""
     assert EquivariantMLP(NETWORKS["odd ring"]).num_params == 4 * 3 + 1
     assert EquivariantMLP(NETWORKS["ring"]).num_params == 5 * 8 * 6 + 8 + 8 * 6 + 1

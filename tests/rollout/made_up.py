@@ -11,17 +11,11 @@ def taking(numbered):
     return lambda room: list(islice(left, room))
 
 
-def make_task(member, seeds, **changes):
-    """Return the task of a member; every second one records."""
-    task = {
-        "member": member,
-        "noise_index": (member, 2 * member),
-        "signs": ((1, -1),),
-        "slots": tuple(range(len(seeds))),
-        "seeds": tuple(seeds),
-        "records_statistics": member % 2 == 0,
-    }
-    return EpisodeTask(**{**task, **changes})
+def make_task(member, seeds):
+    """Return the task of a member."""
+    slots = tuple(range(len(seeds)))
+    noise_index = (member, 2 * member)
+    return EpisodeTask(member=member, noise_index=noise_index, signs=((1, -1),), slots=slots, seeds=tuple(seeds))
 
 
 def outcomes(returns, **quantities):
