@@ -28,7 +28,9 @@ _LANE_COST = 0.05  # of a part, in episodes per episode of the whole task: its m
 def roll_out_tasks(tasks: Sequence[EpisodeTask], generation: Generation, backend: Backend) -> PopulationResults:
     """Return the results of `tasks`, which share `generation`, computed by the workers of `backend`."""
     backend.broadcast(generation)
-    results = PopulationResults.of_tasks(tasks, generation)
+    episodes = generation.episodes_per_policy
+    members = 1 + max(task.member + max(task.slots) // episodes for task in tasks)
+    results = PopulationResults.empty(len(generation.levels), members, episodes)
     parts = divide(tasks, backend.num_workers)
     for part, result in zip(parts, backend.map(parts), strict=True):
         results.add(part, result)
@@ -78,12 +80,6 @@ class PopulationResults(ByEpisode):
     def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
         """Return empty results, to be filled by `add`."""
         return cls(outcomes=empty_outcomes(num_levels, members, episodes))
-
-    @classmethod
-    def of_tasks(cls, tasks: Sequence[EpisodeTask], generation: Generation) -> PopulationResults:
-        """Return empty results for all of `tasks`."""
-        members = 1 + max(task.member + max(task.slots) // generation.episodes_per_policy for task in tasks)
-        return cls.empty(len(generation.levels), members, generation.episodes_per_policy)
 
     @property
     def fitness(self) -> F64Array:
