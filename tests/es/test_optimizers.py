@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from shes.errors import UnknownNameError
 from shes.es.optimizers import OPTIMIZERS, SGD, Adam
 from tests.es import textbook
 
@@ -46,11 +45,6 @@ def test_steps_are_counted_and_everything_stays_float32(name):
     assert all(tuple(state.slots) == optimizer.slots for state in (start, *states))
     arrays = [*steps, *(slot for state in (start, *states) for slot in state.slots.values())]
     assert all((array.dtype, array.shape) == (np.float32, (6,)) for array in arrays)
-
-
-def test_an_unknown_optimizer_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"optimizer 'adma'.*'adam'\?.*--optimizer"):
-        OPTIMIZERS.find("adma")
 
 
 @pytest.mark.parametrize("coefficients", [(0.9, 0.999, 1e-8), (0.5, 0.75, 1e-3)])

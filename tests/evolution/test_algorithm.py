@@ -100,7 +100,7 @@ def test_every_level_has_its_own_rule(table):
              for before, after in zip(state.levels, report.state.levels, strict=True)]  # fmt: skip
     assert moved[0] == pytest.approx(0.02 * report.updates[0].gradient_norm, rel=1e-4)
     assert moved[1] == pytest.approx(0.02 * math.sqrt(5), rel=1e-3)  # the first step of Adam in every direction
-    differ = report.results.fitness[1].reshape(4, 2) @ [1, -1]
+    differ = report.populations[0].results.fitness[1].reshape(4, 2) @ [1, -1]
     ranks = np.sign(differ) * [sum(abs(differ) <= abs(each)) for each in differ] / 8
     gradient = 2 * ranks @ np.array(noise_of(report, table)[1], float) / 8
     assert report.updates[1].gradient_norm == pytest.approx(np.linalg.norm(gradient), rel=1e-4)

@@ -24,25 +24,25 @@ def _leaves(value, place=""):
         yield place, value
 
 
-def _compared(name, folder, change=0.0):
+def _compared(name, change=0.0):
     """Yield the place, the value and the golden value of every number of a run, and whether the two are close."""
     golden = dict(_leaves(json.loads(golden_file(name).read_text(encoding="utf-8"))))
-    values = dict(_leaves(golden_run(name, folder, change)))
+    values = dict(_leaves(golden_run(name, change)))
     assert values.keys() == golden.keys(), "regenerate.py writes other entries than the golden file has: run it"
     for place, expected in golden.items():  # another CPU rounds differently
         yield place, values[place], expected, values[place] == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_short_run_gives_the_golden_numbers(name, tmp_path):
-    compared = list(_compared(name, tmp_path))
+def test_a_short_run_gives_the_golden_numbers(name):
+    compared = list(_compared(name))
     assert len(compared) > 25 * GENERATIONS
     for place, value, golden, is_close in compared:
         assert is_close, WHAT_TO_DO.format(place=place, value=value, golden=golden, name=name)
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_golden_runs_see_a_thousandth_and_not_rounding(name, tmp_path):
+def test_golden_runs_see_a_thousandth_and_not_rounding(name):
     """Ten times the rounding of a float32 must not show: else choose another seed, two fitnesses are nearly equal."""
-    assert [place for place, *_, is_close in _compared(name, tmp_path, change=1e-6) if not is_close] == []
-    assert sum(not is_close for *_, is_close in _compared(name, tmp_path, change=1e-3)) > 20
+    assert [place for place, *_, is_close in _compared(name, change=1e-6) if not is_close] == []
+    assert sum(not is_close for *_, is_close in _compared(name, change=1e-3)) > 20

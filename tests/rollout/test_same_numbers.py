@@ -14,7 +14,7 @@ from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, OneToMany
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.evolution.algorithm import evolve
+from shes.evolution.algorithm import evolve, num_steps
 from shes.evolution.estimates import COMMON_RANDOM_NUMBERS
 from shes.options import make
 from shes.rollout.worker import RolloutWorker
@@ -193,7 +193,7 @@ def test_generations_on_a_point_do_something(case, expected):
     run, settings = expected(case), start(case)[1]
     branches = 0 if settings.intervals is None else 12 * 16
     whole = 0 if case == "point, running" else 8 * 3 * 30
-    steps = [report.num_steps for report in run]
+    steps = [num_steps(report.populations) for report in run]
     assert steps == [whole + branches] * 3  # a point cannot fall
     assert [report.state.env_steps for report in run] == list(itertools.accumulate(steps))
     for number, report in enumerate(run, start=1):

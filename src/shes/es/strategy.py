@@ -49,12 +49,6 @@ class EvolutionStrategy:
         noise_table_size: Normals in the shared table, at least twice the largest `dim`.
         state: `state` of an earlier strategy with the same arguments.
         options: Options of the optimizer and of the fitness shaping: `rank_ties`.
-
-    Raises:
-        ConfigError: A value is out of range or an option is unknown, or the population size is not a multiple of
-            the group size.
-        UnknownNameError: A name is not known.
-        ShapeError: `initial` or `state` does not fit `dim`.
     """
 
     @checked

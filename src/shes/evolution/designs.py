@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.equivariant import EquivariantMLP, sector_actions
@@ -24,7 +24,6 @@ from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.evolution.hyperparameters import explores, is_alone, is_branched
-from shes.evolution.state import TrainState
 from shes.settings import flag
 
 
@@ -63,15 +62,6 @@ def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
         return None
     goals = settings.estimate.intervals if is_branched(settings) else 1
     return replace(design, controller=None, num_recorded_goals=goals)
-
-
-def primitive_inputs(problem: Problem) -> tuple[str, ...]:
-    """Return the name of each input of the primitive, in order."""
-    task, settings = problem.sample(), problem.settings
-    encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
-    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.values).size)]
-    clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
-    return (*features, *clock, *_primitive_view(settings, task).names(task.observation_names))
 
 
 def _controller(settings: Any, task: EpisodeBatch) -> Controller:
@@ -142,22 +132,7 @@ def _primitive_view(settings: Any, task: EpisodeBatch) -> View:
     return _view(settings, task, "primitive_view", choice)
 
 
-class _Transfer(LevelTransfer):
-    """The transfer of the level called `name`."""
-
-    name: ClassVar[str]
-
-    def move(self, source: TrainState, state: TrainState) -> TrainState:
-        """Return `state` with the parameters and statistics of the level in state `source`."""
-        theirs = next(level for level in source.levels if level.name == self.name)
-        levels = tuple(
-            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == self.name else level
-            for level in state.levels
-        )
-        return replace(state, levels=levels)
-
-
-class PrimitiveTransfer(_Transfer):
+class PrimitiveTransfer(LevelTransfer):
     """The transfer of a primitive."""
 
     name = "primitive"
@@ -179,7 +154,11 @@ class PrimitiveTransfer(_Transfer):
 
     def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the primitive in words."""
-        inputs, task, settings = primitive_inputs(problem), problem.sample(), problem.settings
+        task, settings = problem.sample(), problem.settings
+        encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
+        features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.values).size)]
+        clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
+        inputs = [*features, *clock, *_primitive_view(settings, task).names(task.observation_names)]
         kind = settings.hierarchy.symmetry
         symmetry = "" if kind == "none" else f" ({kind} symmetry)"
         return (
@@ -192,7 +171,7 @@ class PrimitiveTransfer(_Transfer):
         return PRIMITIVE_VIEWS.find(source.hierarchy.primitive_view).is_egocentric
 
 
-class ControllerTransfer(_Transfer):
+class ControllerTransfer(LevelTransfer):
     """The transfer of a controller."""
 
     name = "controller"

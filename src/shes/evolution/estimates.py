@@ -124,11 +124,6 @@ class Hyperparameters:
             return (draw_episodes,)
         return (draw_pairs,) if len(self.learns) == 1 else (draw_episodes, draw_pairs)
 
-    @property
-    def has_running_episodes(self) -> bool:
-        """Whether episodes continue from generation to generation."""
-        return self.estimates == (draw_pairs,)
-
     def signs(self, generation: int) -> Signs:
         """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
         return self.perturbation.signs(generation, self.population_size, self.mirrored, self.by_episodes)
