@@ -59,7 +59,7 @@ class EvolutionStrategy:
         population_size: Annotated[int, Ge(1)],
         sigma: Annotated[float, Gt(0)],
         learning_rate: Annotated[float, Gt(0)] = 0.01,
-        weight_decay: float = 0.0,
+        weight_decay: Annotated[float, Ge(0)] = 0.0,
         mirrored: str = "quad",
         perturbation: str = "many_to_many",
         fitness_shaping: str = "centred_rank",
