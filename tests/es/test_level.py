@@ -117,17 +117,6 @@ def test_every_noise_slice_lies_inside_the_table(seed, generation, groups, extra
     assert (index.max(axis=1) <= 12 + extra - np.array([7, 12])).all()
 
 
-def test_noise_differs_by_seed_generation_and_level_alone():
-    rows = {
-        (seed, generation, level): tuple(row)
-        for seed, generation in ((0, 0), (1, 0), (0, 1))
-        for level, row in enumerate(draw_noise_index(seed, generation, 20, (5, 5), 10**6))
-    }
-    assert len(set(rows.values())) == 6
-    for dims, first in (((5,), 0), ((5, 100), 0), ((5,), 1)):  # the other levels have no effect
-        assert tuple(draw_noise_index(0, 1, 20, dims, 10**6, first)[0]) == rows[0, 1, first]
-
-
 @pytest.mark.parametrize("values", [(0.1, 0.2), (1e-17, 1.0), (-0.3, 0.7)])
 def test_equal_fitness_on_both_sides_cancels_exactly(values):
     # An optimizer that ignores the gradient's length would take a rounding error for a direction.

@@ -1,4 +1,4 @@
-"""Which levels a generation perturbs, and the signs of its members."""
+"""The signs of a population's members, and the sizes that it may have."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,8 @@ from hypothesis import strategies as st
 
 from shes.errors import ConfigError
 from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, sign_matrix
-from tests.es.textbook import group_signs
 
-BOTH, CONTROLLER_ALONE, PRIMITIVE_ALONE = (True, True), (True, False), (False, True)
-
-any_name = st.sampled_from(sorted(PERTURBATIONS))
-any_mirroring = st.sampled_from(sorted(MIRRORINGS))
-any_learns = st.sampled_from([BOTH, CONTROLLER_ALONE, PRIMITIVE_ALONE, (True,)])
+BOTH, CONTROLLER_ALONE = (True, True), (True, False)
 
 
 def signs_of(name, population, mirrored="quad", learns=BOTH, generation=0):
@@ -28,16 +23,12 @@ def test_quad_is_balanced_orthogonal_and_complete(num_levels):
     assert len(np.unique(signs, axis=0)) == 2**num_levels
 
 
-@given(name=any_name, mirrored=any_mirroring, learns=any_learns, generation=st.integers(0, 9), groups=st.integers(1, 6))
-def test_signs_are_those_of_the_textbook(name, mirrored, learns, generation, groups):
-    groups *= sum(learns)  # halves need a share for each level
-    expected = group_signs(mirrored, name, learns, groups, generation)
-    signs = signs_of(name, groups * len(expected[0]), mirrored, learns, generation)
-    assert [[tuple(member) for member in group] for group in signs.tolist()] == expected
-    assert signs.dtype == np.int8
-
-
-@given(name=any_name, population=st.integers(1, 60), mirrored=any_mirroring, learns=any_learns)
+@given(
+    name=st.sampled_from(sorted(PERTURBATIONS)),
+    population=st.integers(1, 60),
+    mirrored=st.sampled_from(sorted(MIRRORINGS)),
+    learns=st.sampled_from([BOTH, CONTROLLER_ALONE, (False, True), (True,)]),
+)
 def test_a_population_fits_every_generation_or_none(name, population, mirrored, learns):
     sizes = []
     for generation in (0, 1, 2):

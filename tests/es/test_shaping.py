@@ -36,12 +36,6 @@ def test_shift_and_scale_have_no_effect(shaping, fitness, shift, scale):
         assert shaping(values * scale + shift) == pytest.approx(shaped, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", FITNESS_SHAPINGS)
-@pytest.mark.parametrize("value", [0.0, 0.1, -7.3, 1e300, 5e-324])
-def test_equal_fitness_counts_nothing(name, value):
-    assert np.all(FITNESS_SHAPINGS.find(name)()(np.full(10, value)) == 0)
-
-
 @every_shaping
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_fitness_that_is_not_finite_is_refused(shaping, value):
