@@ -123,9 +123,9 @@ def test_walkers_turn_at_times_each_in_directions_of_its_own():
 
 def test_a_frozen_primitive_searches_until_a_way_is_known():
     """Many slices in one generation, as long as nothing else can be learned; a slice is one walk here."""
-    (slowly, _), (found, _), (limited, _) = searched(0.4, 12, 400), searched(0.4, 2, 400, slices=10), searched(
-        0.4, 1, 400, slices=2
-    )  # fmt: skip
+    slowly, found, limited = (
+        searched(0.4, *most, 400, slices=slices)[0] for *most, slices in ((12, 1), (2, 10), (1, 2))
+    )
     assert 2 < [bool(state.archive.way_steps) for state in slowly].index(True) + 1 <= 10
     assert [bool(state.archive.way_steps) for state in (*found, *limited)] == [True, True, False]
     later = found[1].env_steps - found[0].env_steps
