@@ -128,19 +128,20 @@ def test_the_next_table_removes_a_killed_builders_file(cache):
 
 @pytest.mark.parametrize(("kind", "where"), [("memory", "of memory"), ("disk", "on the disk of .*")])
 def test_a_table_that_does_not_fit_is_refused(cache, monkeypatch, kind, where):
-    monkeypatch.setattr(noise, f"free_{kind}", lambda *_: 4 * 2_500_000)
+    monkeypatch.setattr(noise, f"free_{kind}", lambda *_: 4 * 250_000_000)
     message = (
-        rf"noise_table_size is 2,500,001, which takes 10\.0 MB, but 10\.0 MB {where} are free\. "
-        "Set --noise-table-size 2500000 at most, or point SHES_CACHE_DIR at a larger disk"
+        rf"noise_table_size is 250,000,001, which takes 1\.0 GB, but 1\.0 GB {where} are free\. "
+        "Set --noise-table-size 250000000 at most, or SHES_CACHE_DIR to a larger disk"
     )
     for call in (NoiseTable.open, NoiseTable.check_room):
         with pytest.raises(ConfigError, match=message):
-            call(2_500_001)
+            call(250_000_001)
     assert not cache.exists()
-    NoiseTable.open(2_500_000)
+    NoiseTable.check_room(250_000_000)
+    NoiseTable.open(9000)
     monkeypatch.setattr(noise, f"free_{kind}", lambda *_: 0)
-    NoiseTable.check_room(2_500_000)  # it is there already
-    assert NoiseTable.open(2_500_000).size == 2_500_000
+    NoiseTable.check_room(9000)  # it is there already
+    assert NoiseTable.open(9000).size == 9000
 
 
 @pytest.mark.parametrize(

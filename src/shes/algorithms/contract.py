@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -19,7 +19,7 @@ from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
-from shes.rollout.worker import WorkerPlan
+from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.settings import Settings
 from shes.types import ArrayHeader, F64Array
 
@@ -212,7 +212,9 @@ class Algorithm(ABC, Generic[StateT]):
     @cached_property
     def table(self) -> NoiseTable:
         """The shared noise table. Opened on first use, because an agent that only acts needs none."""
-        return self.problem.noise_table(self.design)
+        table = NoiseTable.open(self.problem.noise_table_size)
+        table.check_dim(max(self.design.dims))
+        return table
 
     @abstractmethod
     def start(self, seed: int) -> StateT:
@@ -259,4 +261,6 @@ class Algorithm(ABC, Generic[StateT]):
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""
-        return self.problem.plan(self.design)
+        assert self.table.path is not None
+        setup = {each.name: getattr(self.problem, each.name) for each in fields(EpisodeSetup)}
+        return WorkerPlan(**setup, design=self.design, noise_table=self.table.path)

@@ -65,10 +65,6 @@ def _path(size: int) -> Path:
     return default_cache_dir() / f"noise-v{_FORMAT}-{size}-{NOISE_SEED}.f32"
 
 
-def _in_words(num_bytes: int) -> str:
-    return f"{num_bytes / 1e9:,.1f} GB" if num_bytes >= 1e8 else f"{num_bytes / 1e6:,.1f} MB"
-
-
 class NoiseTable:
     """Read-only float32 standard normals in a memory-mapped file."""
 
@@ -162,8 +158,8 @@ class NoiseTable:
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
                 raise ConfigError(
-                    f"noise_table_size is {size:,}, which takes {_in_words(4 * size)}, but {_in_words(free)} {where} "
-                    f"are free. Set --noise-table-size {free // 4} at most, or point SHES_CACHE_DIR at a larger disk."
+                    f"noise_table_size is {size:,}, which takes {4 * size / 1e9:,.1f} GB, but {free / 1e9:,.1f} GB "
+                    f"{where} are free. Set --noise-table-size {free // 4} at most, or SHES_CACHE_DIR to a larger disk."
                 )
 
 
@@ -194,7 +190,7 @@ def _build(path: Path, size: int) -> None:
         write_atomically(path, write)
     except StorageError as error:
         raise StorageError(
-            f"the noise table ({_in_words(4 * size)}) cannot be kept: {error} "
+            f"the noise table ({4 * size / 1e9:,.1f} GB) cannot be kept: {error} "
             "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
         ) from error
 

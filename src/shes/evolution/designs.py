@@ -30,8 +30,10 @@ from shes.settings import flag
 def flat_design(problem: Problem) -> FlatDesign:
     """Return the design of an agent with a single policy."""
     task, settings = problem.sample(), problem.settings
-    policy = MLP(_clock_size(settings) + task.observation_size, settings.networks.hidden, task.action_size)
-    return FlatDesign(policy=policy, **_acting(settings, task))
+    clock = _clock(settings, task)
+    inputs = (clock.size if clock else 0) + task.observation_size
+    policy = MLP(inputs, settings.networks.hidden, task.action_size)
+    return FlatDesign(policy=policy, control_limit=task.control_limit, clock=clock)
 
 
 def goal_design(problem: Problem) -> GoalDesign:
@@ -40,10 +42,10 @@ def goal_design(problem: Problem) -> GoalDesign:
     Raise ConfigError if a view or the symmetry does not suit the environment, or the position is unknown.
     """
     task, settings = problem.sample(), problem.settings
-    hierarchy = settings.hierarchy
+    hierarchy, clock = settings.hierarchy, _clock(settings, task)
     task.check_position()
     encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
-    inputs = encoding.size + _clock_size(settings) + view.size(task.observation_size)
+    inputs = encoding.size + (clock.size if clock else 0) + view.size(task.observation_size)
     return GoalDesign(
         controller=None if is_alone(settings) else _controller(settings, task),
         primitive=MLP(inputs, _primitive_layers(settings), task.action_size),
@@ -52,7 +54,8 @@ def goal_design(problem: Problem) -> GoalDesign:
         goal_encoding=encoding,
         primitive_reward=make_primitive_reward(hierarchy.primitive_reward, settings.values),
         controller_interval=hierarchy.controller_interval,
-        **_acting(settings, task),
+        control_limit=task.control_limit,
+        clock=clock,
     )
 
 
@@ -83,15 +86,9 @@ def _controller(settings: Any, task: EpisodeBatch) -> Controller:
     )
 
 
-def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
-    """Return the fields of a design that concern the acting level."""
+def _clock(settings: Any, task: EpisodeBatch) -> Clock | None:
     frequency = settings.networks.clock_frequency
-    clock = None if frequency is None else Clock(frequency_hz=frequency, step_s=task.step_s)
-    return {"control_limit": task.control_limit, "clock": clock}
-
-
-def _clock_size(settings: Any) -> int:
-    return 0 if settings.networks.clock_frequency is None else Clock.size
+    return None if frequency is None else Clock(frequency_hz=frequency, step_s=task.step_s)
 
 
 def _primitive_layers(settings: Any) -> tuple[int, ...]:

@@ -23,7 +23,7 @@ from shes.evolution.designs import PRIMITIVE_TRANSFER, SHES_TRANSFERS, branch_de
 from shes.evolution.estimates import Population
 from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_PRESETS, SES_SECTIONS, SHES_PRESETS, SHES_SECTIONS
 from shes.evolution.hyperparameters import make_hyperparameters, population, steps_per_generation
-from shes.evolution.state import TrainState, check_arrays, check_headers, from_arrays, to_arrays
+from shes.evolution.state import TrainState, check_headers, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
@@ -79,8 +79,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
         """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
-        check_arrays(arrays, self.start(0))
-        return from_arrays(arrays)
+        return from_arrays(arrays, self.start(0))
 
     def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
         """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run."""
@@ -114,7 +113,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""
-        return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
+        return replace(super().plan(), branch_design=branch_design(self.problem.settings, self.design))
 
 
 class PrimitiveES(EvolutionAlgorithm):
