@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
+from shes.errors import ConfigError, ShapeError, UnknownNameError
 from shes.es import EvolutionStrategy
 from shes.es.level import draw_noise_index
 from shes.es.noise import NoiseTable
@@ -160,12 +160,3 @@ def test_a_state_of_another_strategy_is_refused():
         _make(6, state=_make(5).state)
     with pytest.raises(ConfigError, match="'sgd' keeps velocity, but state is of an optimizer that keeps first"):
         _make(optimizer="sgd", state=_make().state)
-
-
-def test_a_fitness_of_nan_is_refused_and_changes_nothing():
-    es = _make()
-    fitness, before = _quadratic(es.ask()), es.state
-    fitness[3] = np.nan
-    with pytest.raises(PolicyError, match="fitness of member 3 is nan"):
-        es.tell(fitness)
-    assert es.state is before

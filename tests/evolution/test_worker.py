@@ -51,15 +51,6 @@ def returns_of(results):
     return {number: result.returns.tobytes() for number, result in results.items()}
 
 
-def test_the_episodes_of_a_policy_may_change_between_generations():
-    worker = RolloutWorker(a_plan())
-    two, three, one, again = (run(worker, episodes=episodes) for episodes in (2, 3, 1, 3))
-    assert returns_of(three) == returns_of(again)  # what a worker did before changes no bit
-    for number, whole in three.items():  # how many episodes share a policy's matmul changes no more than that
-        for episodes, found in ((1, one), (2, two)):
-            assert found[number].returns == pytest.approx(whole.returns[:, :episodes], rel=1e-4, abs=1e-4)
-
-
 def test_environments_that_do_not_fit_are_closed_and_others_kept():
     made, closed = [], []
 

@@ -22,8 +22,7 @@ from shes.options import make
 
 def learns(settings: Any) -> tuple[bool, ...]:
     """Return whether each level learns."""
-    values = settings.values
-    is_frozen = values.get("primitive") is not None and values.get("freeze_primitive", False)
+    is_frozen = settings.values.get("primitive") is not None and settings.values.get("freeze_primitive", False)
     return tuple(not (is_frozen and name == "primitive") for name in settings.level_names)
 
 
