@@ -74,7 +74,11 @@ class EvolutionStrategy:
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         if not dims or not all(is_whole(size) and size > 0 for size in dims):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
-        _check_options(options)
+        known = sorted(
+            {name for each in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in each.values() for name in options_of(cls)}
+        )
+        for name in options.keys() - known:
+            raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")
         self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
         self.population_size, self.mirrored = population_size, mirrored
         self.sigma, self.learning_rate = sigma, learning_rate
@@ -158,10 +162,3 @@ class EvolutionStrategy:
             for i, x in enumerate(starts)
         )
         return StrategyState(seed=seed, levels=levels)
-
-
-def _check_options(options: dict[str, Any]) -> None:
-    classes = [*OPTIMIZERS.values(), *FITNESS_SHAPINGS.values()]
-    known = sorted({name for cls in classes for name in options_of(cls)})
-    for name in options.keys() - known:
-        raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")
