@@ -84,12 +84,17 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
             )
 
 
-def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
-    """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
-    check_headers(arrays, start)
+def check_finite(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise CheckpointError if one of `arrays` holds NaN or infinity."""
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
+
+
+def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
+    """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
+    check_headers(arrays, start)
+    check_finite(arrays)
     running = archive = None
     if "archive/cells" in arrays:
         found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
