@@ -211,7 +211,7 @@ def test_evaluate_names_its_flags_and_the_checkpoints_there_are(refused, run_cop
 @pytest.fixture
 def unchecked(monkeypatch):
     """Let a checkpoint be read whatever it holds, as if the NaN came from elsewhere."""
-    monkeypatch.setattr("shes.evolution.strategies.check_arrays", lambda *_: None)
+    monkeypatch.setattr("shes.evolution.state.check_finite", lambda _: None)
 
 
 @pytest.mark.parametrize("level", ["controller", "primitive"])

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from shes.errors import UnknownNameError
 from shes.es.optimizers import OPTIMIZERS, SGD, Adam
 from tests.es import textbook
-
-every_name = pytest.mark.parametrize("name", OPTIMIZERS)
 
 
 def _gradients(count, dim=6):
@@ -18,26 +15,16 @@ def _run(optimizer, gradients, rate=0.01):
     """Return the steps [count][D] and the states after them."""
     state, steps, states = optimizer.start(len(gradients[0])), [], []
     for gradient in np.array(gradients, np.float32):
+        for array in (gradient, *state.slots.values()):
+            array.flags.writeable = False
         step, state = optimizer.step(gradient, state, rate)
         steps.append(step)
         states.append(state)
     return steps, states
 
 
-@every_name
-def test_a_step_leaves_gradient_and_state_as_they_were(name):
-    optimizer, gradient = OPTIMIZERS.find(name)(), _gradients(1)[0]
-    earlier = _run(optimizer, _gradients(2))[1][-1]
-    for array in (gradient, *earlier.slots.values()):
-        array.flags.writeable = False
-    step, state = optimizer.step(gradient, earlier, 0.1)
-    step[:] = 99  # the step belongs to the caller
-    assert earlier.steps == 2
-    assert not any((slot == 99).any() for slot in state.slots.values())
-
-
-@every_name
-def test_steps_are_counted_and_everything_stays_float32(name):
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_a_step_is_pure_counted_and_of_float32(name):
     optimizer = OPTIMIZERS.find(name)()
     steps, states = _run(optimizer, _gradients(3))
     start = optimizer.start(6)
@@ -46,11 +33,8 @@ def test_steps_are_counted_and_everything_stays_float32(name):
     assert all(tuple(state.slots) == optimizer.slots for state in (start, *states))
     arrays = [*steps, *(slot for state in (start, *states) for slot in state.slots.values())]
     assert all((array.dtype, array.shape) == (np.float32, (6,)) for array in arrays)
-
-
-def test_an_unknown_optimizer_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"optimizer 'adma'.*'adam'\?.*--optimizer"):
-        OPTIMIZERS.find("adma")
+    steps[-1][:] = 99  # the step belongs to the caller
+    assert not any((slot == 99).any() for slot in states[-1].slots.values())
 
 
 @pytest.mark.parametrize("coefficients", [(0.9, 0.999, 1e-8), (0.5, 0.75, 1e-3)])

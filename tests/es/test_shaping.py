@@ -5,19 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.errors import ConfigError, PolicyError, UnknownNameError
-from shes.es.shaping import FITNESS_SHAPINGS, TIES, CentredRanks, PairRanks
+from shes.errors import ConfigError, PolicyError
+from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, PairRanks
 from shes.options import make
 from tests.es import textbook
 
 # Few values, so many ties, and all exact in binary after any shift and scale below.
 fitnesses = st.lists(st.integers(-6, 6), min_size=1, max_size=25).map(lambda values: [*values, *reversed(values)])
 wide = st.lists(st.floats(-1e300, 1e300), min_size=20, max_size=20)
+TIES = ("average", "index")
 any_ties = st.sampled_from(TIES)
 every_shaping = pytest.mark.parametrize(
     "shaping", [*(CentredRanks(rank_ties=ties) for ties in TIES), PairRanks()], ids=str
 )
-MONOTONE = (lambda x: x**3, lambda x: np.exp(x / 200), np.arctan, lambda x: -1 / (x + 5000))
 
 
 def _array(values):
@@ -36,12 +36,6 @@ def test_shift_and_scale_have_no_effect(shaping, fitness, shift, scale):
         assert shaping(values * scale + shift) == pytest.approx(shaped, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", FITNESS_SHAPINGS)
-@pytest.mark.parametrize("value", [0.0, 0.1, -7.3, 1e300, 5e-324])
-def test_equal_fitness_counts_nothing(name, value):
-    assert np.all(FITNESS_SHAPINGS.find(name)()(np.full(10, value)) == 0)
-
-
 @every_shaping
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_fitness_that_is_not_finite_is_refused(shaping, value):
@@ -56,18 +50,6 @@ def test_centred_ranks_count_beaten_members(fitness, ties):
     assert shaping(_array(fitness[:1])).tolist() == [0]
 
 
-@given(fitness=st.lists(st.integers(-1000, 1000), min_size=2), ties=any_ties, rescale=st.sampled_from(MONOTONE))
-def test_centred_ranks_depend_on_the_order_alone(fitness, ties, rescale):
-    shaping, values = CentredRanks(rank_ties=ties), _array(fitness)
-    assert np.array_equal(shaping(rescale(values)), shaping(values))
-
-
-@given(fitness=fitnesses, data=st.data())
-def test_average_ranks_do_not_depend_on_storage_order(fitness, data):
-    order = np.array(data.draw(st.permutations(range(len(fitness)))))
-    assert np.array_equal(CentredRanks()(_array(fitness)[order]), CentredRanks()(_array(fitness))[order])
-
-
 @given(pairs=st.lists(st.tuples(st.integers(-6, 6), st.integers(-6, 6)), min_size=1, max_size=25))
 def test_pair_ranks_are_signed_ranks_of_wilcoxon(pairs):
     difference = np.array([one - other for one, other in pairs])
@@ -79,14 +61,6 @@ def test_pair_ranks_are_signed_ranks_of_wilcoxon(pairs):
     assert shaped[0::2] == pytest.approx(-shaped[1::2])
 
 
-@pytest.mark.parametrize(
-    ("make_it", "message"),
-    [
-        (lambda: FITNESS_SHAPINGS.find("pair_rnk"), r"fitness shaping 'pair_rnk'.*'pair_rank'\?.*--fitness-shaping"),
-        (lambda: CentredRanks(rank_ties="averge"), r"'averge'.*Did you mean 'average'\?.*--rank-ties"),
-        (lambda: PairRanks()(np.zeros(3)), r"pair_rank needs pairs, but there are 3 members\. Set --mirrored pair"),
-    ],
-)
-def test_what_cannot_be_shaped_is_refused(make_it, message):
-    with pytest.raises((ConfigError, UnknownNameError), match=message):
-        make_it()
+def test_pair_ranks_of_an_odd_number_are_refused():
+    with pytest.raises(ConfigError, match=r"pair_rank needs pairs, but there are 3 members\. Set --mirrored pair"):
+        PairRanks()(np.zeros(3))

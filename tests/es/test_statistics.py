@@ -13,11 +13,6 @@ def _merge(statistics, data):
     return statistics.merge(len(data), data.sum(axis=0), (data**2).sum(axis=0))
 
 
-def test_without_observations_normalisation_changes_nothing():
-    empty = ObservationStatistics.empty(3)
-    assert (empty.count, empty.mean.tolist(), empty.std.tolist()) == (0, [0, 0, 0], [1, 1, 1])
-
-
 @given(seed=st.integers(0, 2**32), cuts=st.lists(st.integers(0, 200), max_size=6))
 def test_merging_equals_one_pass_over_all_data(seed, cuts):
     rng = np.random.default_rng(seed)

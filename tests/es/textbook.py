@@ -77,15 +77,13 @@ class TextbookES:
 
     def __init__(
         self, thetas, *, mirrored, sigma, rate, weight_decay=0.0, ties="average", perturbation="many_to_many",
-        learns=None,
+        learns=(True, True),
     ):  # fmt: skip
         self.thetas = [[float(x) for x in theta] for theta in thetas]
         self.adams = [Adam(len(theta)) for theta in thetas]
-        self.gradients = []
-        self.generation = 0
         self.sigma, self.rate, self.weight_decay, self.ties = sigma, rate, weight_decay, ties
-        self.mirrored, self.perturbation = mirrored, perturbation
-        self.learns = [True] * len(thetas) if learns is None else learns
+        self.mirrored, self.perturbation, self.generation = mirrored, perturbation, 0
+        self.learns = learns[: len(thetas)]
 
     def members(self, noise):
         """Return (sign, noise vector) of every member at every level: [n][L], from `noise` [L][G][D]."""
@@ -109,30 +107,15 @@ class TextbookES:
     def update(self, fitness, noise):
         """Take one step from `fitness` [L][n] of the members that `noise` makes, by their ranks."""
         members = self.members(noise)
-        self.step(
-            [
-                centred_ranks(
-                    [f for f, member in zip(row, members, strict=True) if member[level][0] != 0], self.ties
-                )
-                for level, row in enumerate(fitness)
-            ],
-            noise,
-        )  # fmt: skip
-
-    def step(self, shaped, noise):
-        """Take one step from the `shaped` fitness [L][n'] of the members that perturb each level."""
-        members = self.members(noise)
-        self.gradients = []
         for level, theta in enumerate(self.thetas):
-            mine = [member[level] for member in members if member[level][0] != 0]
-            if not mine:
-                self.gradients.append(None)
+            own = [(f, *member[level]) for f, member in zip(fitness[level], members, strict=True) if member[level][0]]
+            if not own:
                 continue
             gradient = [-self.weight_decay * t for t in theta]
-            for worth, (sign, epsilon) in zip(shaped[level], mine, strict=True):
+            shaped = centred_ranks([f for f, _, _ in own], self.ties)
+            for worth, (_, sign, epsilon) in zip(shaped, own, strict=True):
                 for d in range(len(theta)):
-                    gradient[d] += worth * sign * float(epsilon[d]) / len(mine)
+                    gradient[d] += worth * sign * float(epsilon[d]) / len(own)
             step = self.adams[level].step(gradient, self.rate)
             self.thetas[level] = [t + s for t, s in zip(theta, step, strict=True)]
-            self.gradients.append(gradient)
         self.generation += 1

@@ -3,7 +3,6 @@
 What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `rollout/test_same_numbers.py`.
 """
 
-import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -17,7 +16,7 @@ from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import SGD
 from shes.es.perturbation import PERTURBATIONS, OneToMany
-from shes.es.shaping import CentredRanks, PairRanks
+from shes.es.shaping import CentredRanks
 from shes.evolution.estimates import Schedule
 from tests.rollout.formula import (
     DIMS,
@@ -26,12 +25,12 @@ from tests.rollout.formula import (
     bits,
     changing,
     check_against_textbook,
-    constant,
     formula_run,
     formula_state,
-    noise_of,
     same_level,
 )
+
+positive = st.floats(1e-6, 1e6)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +64,6 @@ def test_ties_and_divergences_are_the_textbooks(table, ties, diverging):
 
 
 def test_generations_with_schedules_are_the_textbooks(table):
-    """The step of plain gradient ascent is the learning rate times the gradient."""
     scheduled = replace(SETTINGS, sigma=changing(0.1, 0.025, 4), learning_rate=changing(0.02, 0.001, 3))
     backend, reports = check_against_textbook(table, scheduled, generations=6)
     sigmas = [0.1 / 2 ** (min(t, 4) / 2) for t in range(6)]
@@ -73,41 +71,24 @@ def test_generations_with_schedules_are_the_textbooks(table):
     assert [report.populations[0].generation.sigma for report in reports] == pytest.approx(sigmas)
     rates = [0.02 * 20 ** (-min(t, 3) / 3) for t in range(6)]
     assert [report.populations[0].learning_rate for report in reports] == pytest.approx(rates)
-    settings = replace(scheduled, updates=(UpdateRule(optimizer=SGD(momentum=0.0)),) * 2)
-    state = formula_state(settings)
-    for report, rate in zip(formula_run(table, 4, settings, state)[1], rates, strict=False):
-        for before, update in zip(state.levels, report.updates, strict=True):
-            moved = np.linalg.norm(update.level.theta.astype(float) - before.theta)
-            assert moved == pytest.approx(rate * update.gradient_norm, rel=1e-4)
-        state = report.state
-
-
-def test_both_levels_learn(table):
-    settings = replace(SETTINGS, population_size=24, updates=(UpdateRule(),) * 2, learning_rate=constant(0.08),
-                       episodes_per_policy=1)  # fmt: skip
-    controller, primitive = formula_run(table, 100, settings)[1][-1].state.levels
-    assert primitive.theta == pytest.approx(np.full(5, 2), abs=0.15)
-    assert controller.theta == pytest.approx(np.full(3, 3), abs=0.2)
 
 
 def test_every_level_has_its_own_rule(table):
-    rules = (UpdateRule(optimizer=SGD(momentum=0.0)), UpdateRule(weight_decay=0.1, shaping=PairRanks()))
-    settings = replace(SETTINGS, updates=rules, mirrored="pair")
+    rules = (UpdateRule(optimizer=SGD(momentum=0.0)), UpdateRule(weight_decay=0.1))
+    settings = replace(SETTINGS, updates=rules)
     state = formula_state(settings)
     _, (report,) = formula_run(table, 1, settings, state)
     moved = [np.linalg.norm(after.theta.astype(float) - before.theta)
              for before, after in zip(state.levels, report.state.levels, strict=True)]  # fmt: skip
     assert moved[0] == pytest.approx(0.02 * report.updates[0].gradient_norm, rel=1e-4)
     assert moved[1] == pytest.approx(0.02 * math.sqrt(5), rel=1e-3)  # the first step of Adam in every direction
-    differ = report.results.fitness[1].reshape(4, 2) @ [1, -1]
-    ranks = np.sign(differ) * [sum(abs(differ) <= abs(each)) for each in differ] / 8
-    gradient = 2 * ranks @ np.array(noise_of(report, table)[1], float) / 8
-    assert report.updates[1].gradient_norm == pytest.approx(np.linalg.norm(gradient), rel=1e-4)
 
 
 def test_the_state_alone_decides_how_a_run_goes_on(table):
     """Not threads, not what was before, and it stays as it was."""
     state = formula_state()
+    for level in state.levels:
+        level.theta.flags.writeable = False
     before = bits(state)
     _, whole = formula_run(table, 6, state=state)
     with ThreadPoolExecutor(3) as pool:
@@ -116,60 +97,31 @@ def test_the_state_alone_decides_how_a_run_goes_on(table):
     assert bits(state) == before
 
 
-@pytest.mark.parametrize("name", sorted(PERTURBATIONS))
+@pytest.mark.parametrize("name", PERTURBATIONS)
 @pytest.mark.parametrize("frozen", [0, 1])
 def test_a_frozen_level_stays_as_it_is_in_every_respect(table, frozen, name):
     settings = replace(SETTINGS, learns=(frozen != 0, frozen != 1), perturbation=PERTURBATIONS.find(name)())
-    levels = [
-        replace(level, statistics=level.statistics.merge(4, np.ones(dim), 9 * np.ones(dim)))
-        for level, dim in zip(formula_state().levels, DIMS, strict=True)
-    ]
-    backend, reports = formula_run(table, 3, settings, replace(formula_state(), levels=tuple(levels)))
-    for number, (report, tasks) in enumerate(zip(reports, backend.tasks, strict=True), start=1):
-        assert {task.signs[0][frozen] for task in tasks} == {0}
-        assert {abs(task.signs[0][1 - frozen]) for task in tasks} == {1}
-        assert bits(report.state.levels[frozen]) == bits(levels[frozen])  # statistics included
+    state = formula_state()
+    for number, report in enumerate(formula_run(table, 3, settings, state)[1], start=1):
+        assert bits(report.state.levels[frozen]) == bits(state.levels[frozen])  # statistics included
         learner = report.state.levels[1 - frozen]
-        assert (learner.statistics.count, learner.optimizer.steps) == (4 + number * 8 * EPISODES * 7, number)
-        for level, is_learning in ((frozen, False), (1 - frozen, True)):
-            update = report.updates[level]
-            numbers = [update.gradient_norm, update.halves_cosine, update.update_ratio]
-            assert np.isfinite(numbers).all() if is_learning else np.isnan(numbers).all()
-    for old, new in itertools.pairwise(backend.generations):
-        assert np.array_equal(old.levels[frozen].mean, new.levels[frozen].mean)
+        assert (learner.statistics.count, learner.optimizer.steps) == (number * 8 * EPISODES * 7, number)
+        assert [np.isnan(update.gradient_norm) for update in report.updates] == [frozen == 0, frozen == 1]
 
 
 def test_in_turns_a_level_rests_but_goes_on_observing(table):
     state = formula_state()
     for generation, report in enumerate(formula_run(table, 4, replace(SETTINGS, perturbation=OneToMany()), state)[1]):
         turn = generation % 2
-        assert same_level(report.state.levels[1 - turn], state.levels[1 - turn])
-        assert not same_level(report.state.levels[turn], state.levels[turn])
-        assert [np.isnan(update.gradient_norm) for update in report.updates] == [turn == 1, turn == 0]
-        for level in report.state.levels:
-            assert level.statistics.count == (generation + 1) * 8 * EPISODES * 7
+        assert [same_level(*pair) for pair in zip(report.state.levels, state.levels, strict=True)] == [
+            turn == 1,
+            turn == 0,
+        ]
+        assert {level.statistics.count for level in report.state.levels} == {(generation + 1) * 8 * EPISODES * 7}
         state = report.state
-    assert [level.optimizer.steps for level in state.levels] == [2, 2]
-
-
-# Schedules.
-
-positive = st.floats(1e-6, 1e6)
 
 
 @given(start=positive, end=positive, generations=st.integers(1, 10_000), beyond=st.integers(0, 10**9))
-def test_start_and_end_are_exact(start, end, generations, beyond):
+def test_start_and_end_of_a_schedule_are_exact(start, end, generations, beyond):
     schedule = Schedule(start=start, end=end, generations=generations)
     assert (schedule.value(0), schedule.value(generations + beyond)) == (start, end)
-
-
-@given(start=positive, end=positive, generations=st.integers(1, 50))
-def test_the_factor_is_the_same_in_every_generation(start, end, generations):
-    schedule = Schedule(start=start, end=end, generations=generations)
-    way = [schedule.value(generation) for generation in range(generations + 1)]
-    factor = (end / start) ** (1 / generations)
-    assert [later / earlier for earlier, later in itertools.pairwise(way)] == pytest.approx([factor] * generations)
-
-
-def test_without_an_end_it_is_constant():
-    assert [Schedule(start=0.02).value(generation) for generation in (0, 1, 10**9)] == [0.02] * 3

@@ -114,10 +114,7 @@ def test_a_primitive_on_branches_has_the_numbers_of_its_pairs():
     }
 
 
-@pytest.mark.parametrize(
-    ("returns", "share"),
-    [([1, 2, 3, 4], 0.0), ([1, 1, 1, 1], 1.0), ([1, 2, 1, 4], 0.5), ([2, 2, 7, 7], 1.0), ([0.0, -0.0, 3, 4], 0.5)],
-)
+@pytest.mark.parametrize(("returns", "share"), [([1, 2, 1, 4], 0.5), ([2, 2, 7, 7], 1.0), ([0.0, -0.0, 3, 4], 0.5)])
 def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
     returns = np.array([returns, [0] * 4])[:, :, None]
     row = row_of(population(returns, [[0] * 4, [0, 5, 10, 14]]))
@@ -130,54 +127,15 @@ def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
     assert math.isnan(row["primitive_rank_ties"])
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    """A run that keeps every checkpoint, with SGD: its step is the learning rate times the velocity.
-
-    Its rewards are dense: of a sparse one, half a population may have no gradient at all.
-    """
-    plain = {"optimizer": "sgd", "weight_decay": 0.0, "population_size": 16, "sigma": 0.1, "keep_checkpoints": 1}
-    changing = {"sigma_end": 0.2, "learning_rate_end": 0.001, "schedule_generations": 2}
-    return runs.train_tiny(tmp_path_factory.mktemp("every") / "run", "point-maze", **plain, **changing)
-
-
-def test_update_columns_are_what_the_checkpoints_say(path):
-    table = read_csv(path / "progress.csv")
-    np.testing.assert_allclose(table["sigma"], [0.1, math.sqrt(0.1 * 0.2), 0.2, 0.2])
-    np.testing.assert_allclose(table["learning_rate"], [0.01, math.sqrt(0.01 * 0.001), 0.001, 0.001])
-    for row in range(4):
-        before, after = (runs.state(path, row + more).levels for more in (0, 1))
-        for old, new in zip(before, after, strict=True):
-            step = np.linalg.norm(new.theta.astype(np.float64) - old.theta)
-            velocity, last = (each.optimizer.slots["velocity"].astype(np.float64) for each in (new, old))
-            gradient = np.linalg.norm(velocity - 0.9 * last) / 0.1
-            assert table[f"{old.name}_gradient_norm"][row] == pytest.approx(gradient, rel=1e-4)
-            assert step == pytest.approx(np.linalg.norm(velocity) * table["learning_rate"][row], rel=1e-2)
-            ratio = step / np.linalg.norm(old.theta.astype(np.float64))
-            assert table[f"{old.name}_update_ratio"][row] == pytest.approx(ratio, rel=1e-2)
-            assert table[f"{old.name}_theta_norm"][row] == pytest.approx(np.linalg.norm(new.theta), rel=1e-6)
-            assert abs(table[f"{old.name}_halves_cosine"][row]) < 1
-    parts = np.array([table[f"{name}_s"] for name in PARTS])  # of one worker in this process
-    assert 0 <= parts.min() < parts.max()
-    assert (parts.sum(axis=0) <= np.array(table["rollout_s"]) + 0.001).all()  # rounded to 0.0001 each
-
-
 @pytest.mark.parametrize(
     ("env", "settings", "name"),
     [("point-gather", {"algorithm": "es"}, "policy"), ("point-flagrun", {}, "primitive")],
 )
 def test_a_run_of_one_level_has_the_columns_of_that_level_alone(tmp_path, env, settings, name):
-    table = read_csv(runs.train_tiny(tmp_path / "run", env, generations=2, **settings) / "progress.csv")
+    table = read_csv(runs.train_tiny(tmp_path / "run", env, generations=1, **settings) / "progress.csv")
     others = tuple(f"{other}_" for other in {"controller", "primitive", "policy"} - {name})
     assert {f"{name}_return_mean", f"{name}_halves_cosine", f"{name}_rank_ties", f"{name}_theta_norm"} <= set(table)
     assert not [column for column in table if column.startswith(others) and column != "policy_s"]
     assert ("goals_reached_mean" in table) is (name == "primitive")
-    assert all(len(column) == 2 for column in table.values())
-
-
-@pytest.mark.parametrize(("distance", "reached"), [(0.1, 4), (1000.0, 0)])
-def test_goals_are_counted_once_each_time_they_are_reached(tmp_path, distance, reached):
-    """Near goals lie where the robot can be within a step: in 20 steps as many are reached as set, and no more."""
-    goals = {"goal_distance": distance, "minimum_goal_distance": False, "controller_interval": 5}
-    table = read_csv(runs.train_tiny(tmp_path / "run", generations=2, **goals) / "progress.csv")
-    assert table["goals_reached_mean"] == [reached, reached]
+    parts = [table[f"{part}_s"][0] for part in PARTS]  # of one worker in this process
+    assert 0 < sum(parts) <= table["rollout_s"][0] + 0.001  # rounded to 0.0001 each

@@ -22,14 +22,12 @@ def test_every_episode_is_in_one_part_and_in_order(sizes, num_workers):
 @pytest.mark.parametrize(
     ("num_tasks", "size", "num_workers", "part"),
     [
-        (250, 20, 1, 20),
         (250, 20, 2, 20),
         (250, 20, 240, 5),  # five parts each: whole tasks would be two for some, and leave others idle
         (250, 20, 250, 20),
         (250, 20, 600, 10),
         (1, 20, 2, 10),
         (1, 20, 60, 1),
-        (5, 12, 2, 6),
     ],
 )
 def test_tasks_are_as_small_as_workers_need_them(num_tasks, size, num_workers, part):

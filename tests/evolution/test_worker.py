@@ -7,7 +7,6 @@ from functools import lru_cache
 import pytest
 
 from shes.backends.backend import TaskList
-from shes.errors import StorageError
 from shes.rollout.episodes import EpisodeTask, Generation
 from shes.rollout.worker import RolloutWorker, lanes_that_fit
 from shes.runs.build import build_algorithm
@@ -52,23 +51,6 @@ def returns_of(results):
     return {number: result.returns.tobytes() for number, result in results.items()}
 
 
-def test_training_and_evaluation_have_their_own_horizon():
-    worker = RolloutWorker(a_plan())
-    for is_evaluation, steps in ((False, 6), (True, 9), (False, 6)):
-        results = run(worker, is_evaluation=is_evaluation)
-        assert sorted(results) == [0, 1, 2, 3]
-        assert {step for result in results.values() for step in result.steps.tolist()} == {steps}
-
-
-def test_the_episodes_of_a_policy_may_change_between_generations():
-    worker = RolloutWorker(a_plan())
-    two, three, one, again = (run(worker, episodes=episodes) for episodes in (2, 3, 1, 3))
-    assert returns_of(three) == returns_of(again)  # what a worker did before changes no bit
-    for number, whole in three.items():  # how many episodes share a policy's matmul changes no more than that
-        for episodes, found in ((1, one), (2, two)):
-            assert found[number].returns == pytest.approx(whole.returns[:, :episodes], rel=1e-4, abs=1e-4)
-
-
 def test_environments_that_do_not_fit_are_closed_and_others_kept():
     made, closed = [], []
 
@@ -89,12 +71,6 @@ def test_environments_that_do_not_fit_are_closed_and_others_kept():
     # Two lanes of 2, of 4 and of 3 episodes, then a single lane of 3.
     assert made == [(4, False), (8, True), (6, False), (3, False)]
     assert closed == [4, 6]
-
-
-@pytest.mark.parametrize("share", [1, 2, 100])
-def test_the_share_of_a_worker_changes_no_bit(share):
-    worker = RolloutWorker(a_plan())
-    assert returns_of(run(worker)) == returns_of(run(worker, share=share))
 
 
 def test_a_worker_that_got_less_asks_again_only_after_a_result():
@@ -145,11 +121,6 @@ def test_what_the_simulator_says_comes_with_the_results_once(said, first, most, 
     assert len(logs[3]) <= most
     logging.getLogger("shes.mujoco").warning("outside of a run")
     assert caplog.messages == ["outside of a run"]
-
-
-def test_a_worker_without_its_noise_table_says_so(tmp_path):
-    with pytest.raises(StorageError, match="cannot be opened"):
-        RolloutWorker(replace(a_plan(), noise_table=tmp_path / "gone.f32"))
 
 
 @pytest.mark.parametrize(

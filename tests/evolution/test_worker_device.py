@@ -5,6 +5,7 @@ The physics is that of the CPU here; a stand-in says what memory there is.
 
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -92,15 +93,8 @@ def test_what_does_not_fit_is_split_and_the_log_says_so_once(device, expected, c
 
 
 def test_memory_that_runs_out_on_the_way_costs_no_result(device, expected):
-    """Nor does a result come twice."""
-    steps = []
-
-    def step(num_lanes):
-        steps.append(num_lanes)
-        if num_lanes == 4 and len(steps) > 8:  # the first four have their results after six
-            raise MemoryError("out of memory")
-
-    device.step = step
+    """Nor does a result come twice: the first four are there after six steps."""
+    device.step = Mock(side_effect=[None] * 8 + [MemoryError("out of memory")] + [None] * 99)
     assert play(on_device(chunk_size=4))[0] == expected
     assert device.tried == [4, 2]
 
@@ -114,10 +108,7 @@ def test_no_room_for_one_policy_is_an_error_with_what_helps(device):
 
 @pytest.mark.parametrize(("name", "error"), [("cpu", MemoryError("no")), ("cuda", RuntimeError("something else"))])
 def test_other_errors_are_passed_on(device, name, error):
-    def step(_):
-        raise error
-
-    device.step = step
+    device.step = Mock(side_effect=error)
     with pytest.raises(type(error), match=str(error)):
         play(on_device(device=name))
     assert len(device.tried) == 1
@@ -125,15 +116,10 @@ def test_other_errors_are_passed_on(device, name, error):
 
 def test_training_and_evaluation_take_turns_if_only_one_fits(device, expected):
     """What fits alone is not split, and there is no message."""
-    worker, failed = on_device(), []
+    worker = on_device()
     assert play(worker) == (expected, [])
-
-    def step(num_lanes):
-        if not failed:
-            failed.append(num_lanes)
-            raise MemoryError("out of memory")
-
-    device.step = step
+    device.step = Mock(side_effect=[MemoryError("out of memory"), *[None] * 99])
     assert play(worker, is_evaluation=True)[1] == []
+    device.step = None
     assert play(worker) == (expected, [])
     assert device.tried == [MEMBERS] * 4

@@ -128,8 +128,8 @@ def check_against_textbook(table, settings, generations=5, diverging=(), **optio
             others = [level[m, e] for m, e in np.ndindex(level.shape) if (m, e) not in diverging]
             for place in diverging:
                 level[place] = min(others)
-        assert report.results.fitness == pytest.approx(paid.mean(axis=2), rel=1e-4, abs=1e-4)
-        book.update(report.results.fitness.tolist(), noise)
+        assert report.populations[0].results.fitness == pytest.approx(paid.mean(axis=2), rel=1e-4, abs=1e-4)
+        book.update(report.populations[0].results.fitness.tolist(), noise)
         for level, theta in zip(report.state.levels, book.thetas, strict=True):
             assert level.theta == pytest.approx(theta, abs=1e-5)
     return backend, reports

@@ -202,7 +202,7 @@ def test_the_estimate_covers_what_tasks_and_results_take(fits):
     algorithm = build_algorithm(make_config("ant-gather", "smoke", settings))
     tracemalloc.start()
     draws = draw_episodes(algorithm.start(0), algorithm.hyperparameters, 1_000_000)
-    results = PopulationResults.empty(len(draws.levels), members=20_000, episodes=1)
+    results = PopulationResults.empty(len(draws.levels), members=20_000, episodes=1)  # noqa: F841 - held
     taken = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert not fits(taken, "ant-gather", **settings)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -19,7 +19,7 @@ from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
-from shes.rollout.worker import WorkerPlan
+from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.settings import Settings
 from shes.types import ArrayHeader, F64Array
 
@@ -30,6 +30,8 @@ class LevelTransfer(ABC):
     A setting with the name of the level gives the other run, and `LEVEL_checkpoint` its checkpoint.
     """
 
+    name: ClassVar[str]
+    """Name of the level."""
     trained_by: ClassVar[str]
     """Runs that train such a level, for error messages."""
     advice: ClassVar[str]
@@ -45,9 +47,14 @@ class LevelTransfer(ABC):
     def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the level in words. Both runs must have the same."""
 
-    @abstractmethod
     def move(self, source: Any, state: Any) -> Any:
-        """Return `state` with the parameters and statistics of the level in state `source`."""
+        """Return `state` with the parameters and statistics of the level in state `source`. Both have `levels`."""
+        theirs = next(level for level in source.levels if level.name == self.name)
+        levels = tuple(
+            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == self.name else level
+            for level in state.levels
+        )
+        return replace(state, levels=levels)
 
     def is_egocentric(self, source: Any) -> bool:
         """Return whether the level of a run with settings `source` sees the robot's state in its own frame."""
@@ -179,6 +186,11 @@ class Algorithm(ABC, Generic[StateT]):
         """Raise ConfigError if a setting in `asked`, which the user gave, has no effect; see also `Needs`."""
 
     @staticmethod
+    def warnings(settings: Any) -> Sequence[str]:  # noqa: ARG004 - a subclass reads them
+        """Return warnings about the settings, which are logged at the start of a run."""
+        return ()
+
+    @staticmethod
     def steps_per_generation(settings: Any) -> int:
         """Return the environment steps of a generation if no episode ends early. By default it is one episode."""
         return settings.episodes.horizon
@@ -200,7 +212,9 @@ class Algorithm(ABC, Generic[StateT]):
     @cached_property
     def table(self) -> NoiseTable:
         """The shared noise table. Opened on first use, because an agent that only acts needs none."""
-        return self.problem.noise_table(self.design)
+        table = NoiseTable.open(self.problem.noise_table_size)
+        table.check_dim(max(self.design.dims))
+        return table
 
     @abstractmethod
     def start(self, seed: int) -> StateT:
@@ -240,10 +254,6 @@ class Algorithm(ABC, Generic[StateT]):
         """Return what a search for a way has found by `state`; None without such a search."""
         return None
 
-    def warnings(self) -> Sequence[str]:
-        """Return warnings about the settings, which are logged at the start of a run."""
-        return ()
-
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul, in training and evaluation. It affects rounding."""
@@ -251,4 +261,6 @@ class Algorithm(ABC, Generic[StateT]):
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""
-        return self.problem.plan(self.design)
+        assert self.table.path is not None
+        setup = {each.name: getattr(self.problem, each.name) for each in fields(EpisodeSetup)}
+        return WorkerPlan(**setup, design=self.design, noise_table=self.table.path)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from shes.agents.agent import AgentDesign, FlatDesign
+from shes.agents.agent import FlatDesign
 from shes.agents.mlp import MLP
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ShapeError
-from shes.es.noise import NoiseTable
-from shes.rollout.worker import EpisodeSetup, WorkerPlan
+from shes.rollout.worker import EpisodeSetup
 from shes.sim.warp_device import WarpDevice
 
 
@@ -54,16 +53,3 @@ class Problem(EpisodeSetup):
         task = self.sample()
         policy = MLP(task.observation_size, hidden, task.action_size)
         return FlatDesign(policy=policy, control_limit=task.control_limit)
-
-    def noise_table(self, design: AgentDesign) -> NoiseTable:
-        """Open the noise table, generated if its file is missing; raise ConfigError if it is too small for `design`."""
-        table = NoiseTable.open(self.noise_table_size)
-        table.check_dim(max(design.dims))
-        return table
-
-    def plan(self, design: AgentDesign, branch_design: AgentDesign | None = None) -> WorkerPlan:
-        """Return the data that every worker receives once: this problem and the agents' designs."""
-        table = self.noise_table(design)
-        assert table.path is not None
-        setup = {field.name: getattr(self, field.name) for field in fields(EpisodeSetup)}
-        return WorkerPlan(**setup, design=design, branch_design=branch_design, noise_table=table.path)

@@ -30,7 +30,6 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
 from shes.machine import free_memory
-from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
 from shes.streams import Purpose, stream
 
@@ -67,7 +66,9 @@ class TD3(Algorithm[TD3State]):
 
     def __init__(self, problem: Problem) -> None:
         """Create agents and levels; raise ConfigError if TD3 cannot learn in this problem."""
-        super().__init__(problem, self.make_design(problem))
+        design = self.make_design(problem)
+        # The noise table is small, because nothing reads it.
+        super().__init__(replace(problem, noise_table_size=2 * max(design.dims)), design)
         self.settings: LearnerSettings = problem.settings.learner
         self.levels = self.make_levels()
 
@@ -199,10 +200,6 @@ class TD3(Algorithm[TD3State]):
 
     kept = without_training
     """`last` alone holds the replay buffers."""
-
-    def plan(self) -> WorkerPlan:
-        """Return the data that every worker receives once. The noise table is small, because nothing reads it."""
-        return replace(self.problem, noise_table_size=2 * max(self.design.dims)).plan(self.design)
 
 
 def columns(collector: Collector, levels: Mapping[str, tuple[LearnerState, Mapping[str, float]]]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from shes.backends.backend import SerialBackend
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
-from shes.evolution.algorithm import evolve, roll_out
+from shes.evolution.algorithm import evolve, num_steps, roll_out
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.machine import on_one_core
 from shes.rollout.worker import RolloutWorker, WorkerPlan
@@ -86,7 +86,7 @@ def bench_rollout(
         start = perf_counter()
         while len(whole) < repeats or perf_counter() - start < seconds:
             report = next(evolve(state, settings, table, backend, pool))
-            whole.append(report.num_steps / (report.rollout_s + report.update_s))
+            whole.append(num_steps(report.populations) / (report.rollout_s + report.update_s))
             after = physics.steps_per_s(replay_s)
             bare.append((before + after) / 2)  # the speed of a shared machine drifts
             before = after

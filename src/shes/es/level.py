@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
-from shes.settings import Ge, checked
 from shes.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
 
@@ -75,16 +73,15 @@ class LevelParameters:
         return tuple(cls.of(level.theta, level.statistics) for level in levels)
 
 
-@checked
 @dataclass(frozen=True, kw_only=True)
 class UpdateRule:
     """How the fitness of a population becomes a step of one level."""
 
-    weight_decay: Annotated[float, Ge(0)] = 0.0
+    weight_decay: float = 0.0
     """Coefficient of the weight decay (lambda), zero or positive."""
     holds_when_tied: bool = False
     """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
-    fall_price: Annotated[float, Ge(0)] = 0.0
+    fall_price: float = 0.0
     """Subtracted from a member's shaped fitness for a fall, zero or positive. It is no part of the return."""
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
 
 from shes.errors import ConfigError, PolicyError
 from shes.options import subclass_of
 from shes.registry import Registry
-from shes.settings import Choices, Settings
+from shes.settings import Settings
 from shes.types import F64Array
-
-TIES = ("average", "index")
-"""How equal fitness is ranked: by the average rank, or by position in the population."""
 
 
 class FitnessShaping(ABC):
@@ -43,7 +40,7 @@ class CentredRanks(FitnessShaping, Settings):
     when most fitness values are equal, as with sparse rewards. The authors' code breaks ties by index.
     """
 
-    rank_ties: Annotated[str, Choices(TIES)] = "average"
+    rank_ties: Literal["average", "index"] = "average"
     """How equal fitness values are ranked: by their average rank, or by their index in the population (authors' code).
     With average, a level whose members all have the same fitness stays unchanged."""
 

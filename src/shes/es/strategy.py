@@ -49,12 +49,6 @@ class EvolutionStrategy:
         noise_table_size: Normals in the shared table, at least twice the largest `dim`.
         state: `state` of an earlier strategy with the same arguments.
         options: Options of the optimizer and of the fitness shaping: `rank_ties`.
-
-    Raises:
-        ConfigError: A value is out of range or an option is unknown, or the population size is not a multiple of
-            the group size.
-        UnknownNameError: A name is not known.
-        ShapeError: `initial` or `state` does not fit `dim`.
     """
 
     @checked
@@ -65,7 +59,7 @@ class EvolutionStrategy:
         population_size: Annotated[int, Ge(1)],
         sigma: Annotated[float, Gt(0)],
         learning_rate: Annotated[float, Gt(0)] = 0.01,
-        weight_decay: float = 0.0,
+        weight_decay: Annotated[float, Ge(0)] = 0.0,
         mirrored: str = "quad",
         perturbation: str = "many_to_many",
         fitness_shaping: str = "centred_rank",
@@ -80,7 +74,11 @@ class EvolutionStrategy:
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         if not dims or not all(is_whole(size) and size > 0 for size in dims):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
-        _check_options(options)
+        known = sorted(
+            {name for each in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in each.values() for name in options_of(cls)}
+        )
+        for name in options.keys() - known:
+            raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")
         self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
         self.population_size, self.mirrored = population_size, mirrored
         self.sigma, self.learning_rate = sigma, learning_rate
@@ -164,10 +162,3 @@ class EvolutionStrategy:
             for i, x in enumerate(starts)
         )
         return StrategyState(seed=seed, levels=levels)
-
-
-def _check_options(options: dict[str, Any]) -> None:
-    classes = [*OPTIMIZERS.values(), *FITNESS_SHAPINGS.values()]
-    known = sorted({name for cls in classes for name in options_of(cls)})
-    for name in options.keys() - known:
-        raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")

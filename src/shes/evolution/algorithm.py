@@ -16,10 +16,10 @@ from time import perf_counter
 from shes.backends.backend import Backend
 from shes.es.level import LevelUpdate, update_level
 from shes.es.noise import NoiseTable
-from shes.evolution.estimates import Draws, Hyperparameters, Population, next_running
+from shes.evolution.estimates import Draws, Hyperparameters, Population, draw_pairs, next_running
 from shes.evolution.state import TrainState
 from shes.evolution.way_search import explore
-from shes.rollout.roll_out import PopulationResults, roll_out_tasks
+from shes.rollout.roll_out import roll_out_tasks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,21 +36,6 @@ class GenerationReport:
     """Duration of the rollouts in seconds."""
     update_s: float
     """Duration of fitness, gradients, optimizer and statistics in seconds."""
-
-    @property
-    def results(self) -> PopulationResults:
-        """Returns, steps and flags of every episode of the first population."""
-        return self.populations[0].results
-
-    @property
-    def num_steps(self) -> int:
-        """Number of environment steps of the generation's members."""
-        return num_steps(self.populations)
-
-    @property
-    def log(self) -> list[str]:
-        """Log messages of the simulators."""
-        return [line for each in self.populations for line in each.results.log]
 
 
 def num_steps(populations: tuple[Population, ...]) -> int:
@@ -99,7 +84,7 @@ def evolve(
             generation=state.generation + 1,
             env_steps=state.env_steps + num_steps(populations),
             levels=tuple(update.level for update in updates),
-            running=next_running(populations[0], settings.horizon) if settings.has_running_episodes else None,
+            running=next_running(populations[0], settings.horizon) if settings.estimates[0] is draw_pairs else None,
         )
         yield GenerationReport(
             state=state,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.equivariant import EquivariantMLP, sector_actions
@@ -24,7 +24,6 @@ from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.evolution.hyperparameters import explores, is_alone, is_branched
-from shes.evolution.state import TrainState
 from shes.options import make
 from shes.settings import flag
 
@@ -32,8 +31,10 @@ from shes.settings import flag
 def flat_design(problem: Problem) -> FlatDesign:
     """Return the design of an agent with a single policy."""
     task, settings = problem.sample(), problem.settings
-    policy = MLP(_clock_size(settings) + task.observation_size, settings.networks.hidden, task.action_size)
-    return FlatDesign(policy=policy, **_acting(settings, task))
+    clock = _clock(settings, task)
+    inputs = (clock.size if clock else 0) + task.observation_size
+    policy = MLP(inputs, settings.networks.hidden, task.action_size)
+    return FlatDesign(policy=policy, control_limit=task.control_limit, clock=clock)
 
 
 def goal_design(problem: Problem) -> GoalDesign:
@@ -42,10 +43,10 @@ def goal_design(problem: Problem) -> GoalDesign:
     Raise ConfigError if a view or the symmetry does not suit the environment, or the position is unknown.
     """
     task, settings = problem.sample(), problem.settings
-    hierarchy = settings.hierarchy
+    hierarchy, clock = settings.hierarchy, _clock(settings, task)
     task.check_position()
     encoding, view = make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
-    inputs = encoding.size + _clock_size(settings) + view.size(task.observation_size)
+    inputs = encoding.size + (clock.size if clock else 0) + view.size(task.observation_size)
     return GoalDesign(
         controller=None if is_alone(settings) else _controller(settings, task),
         primitive=MLP(inputs, _primitive_layers(settings), task.action_size),
@@ -54,7 +55,8 @@ def goal_design(problem: Problem) -> GoalDesign:
         goal_encoding=encoding,
         primitive_reward=make(PRIMITIVE_REWARDS, hierarchy.primitive_reward, settings.values),
         controller_interval=hierarchy.controller_interval,
-        **_acting(settings, task),
+        control_limit=task.control_limit,
+        clock=clock,
     )
 
 
@@ -64,15 +66,6 @@ def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
         return None
     goals = settings.estimate.intervals if is_branched(settings) else 1
     return replace(design, controller=None, num_recorded_goals=goals)
-
-
-def primitive_inputs(problem: Problem) -> tuple[str, ...]:
-    """Return the name of each input of the primitive, in order."""
-    task, settings = problem.sample(), problem.settings
-    encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
-    features = [f"goal {encoding} {i}" for i in range(make(GOAL_ENCODINGS, encoding, settings.values).size)]
-    clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
-    return (*features, *clock, *_primitive_view(settings, task).names(task.observation_names))
 
 
 def _controller(settings: Any, task: EpisodeBatch) -> Controller:
@@ -94,15 +87,9 @@ def _controller(settings: Any, task: EpisodeBatch) -> Controller:
     )
 
 
-def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
-    """Return the fields of a design that concern the acting level."""
+def _clock(settings: Any, task: EpisodeBatch) -> Clock | None:
     frequency = settings.networks.clock_frequency
-    clock = None if frequency is None else Clock(frequency_hz=frequency, step_s=task.step_s)
-    return {"control_limit": task.control_limit, "clock": clock}
-
-
-def _clock_size(settings: Any) -> int:
-    return 0 if settings.networks.clock_frequency is None else Clock.size
+    return None if frequency is None else Clock(frequency_hz=frequency, step_s=task.step_s)
 
 
 def _primitive_layers(settings: Any) -> tuple[int, ...]:
@@ -143,22 +130,7 @@ def _primitive_view(settings: Any, task: EpisodeBatch) -> View:
     return _view(settings, task, "primitive_view", choice)
 
 
-class _Transfer(LevelTransfer):
-    """The transfer of the level called `name`."""
-
-    name: ClassVar[str]
-
-    def move(self, source: TrainState, state: TrainState) -> TrainState:
-        """Return `state` with the parameters and statistics of the level in state `source`."""
-        theirs = next(level for level in source.levels if level.name == self.name)
-        levels = tuple(
-            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == self.name else level
-            for level in state.levels
-        )
-        return replace(state, levels=levels)
-
-
-class PrimitiveTransfer(_Transfer):
+class PrimitiveTransfer(LevelTransfer):
     """The transfer of a primitive."""
 
     name = "primitive"
@@ -180,7 +152,11 @@ class PrimitiveTransfer(_Transfer):
 
     def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the primitive in words."""
-        inputs, task, settings = primitive_inputs(problem), problem.sample(), problem.settings
+        task, settings = problem.sample(), problem.settings
+        encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
+        features = [f"goal {encoding} {i}" for i in range(make(GOAL_ENCODINGS, encoding, settings.values).size)]
+        clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
+        inputs = [*features, *clock, *_primitive_view(settings, task).names(task.observation_names)]
         kind = settings.hierarchy.symmetry
         symmetry = "" if kind == "none" else f" ({kind} symmetry)"
         return (
@@ -193,7 +169,7 @@ class PrimitiveTransfer(_Transfer):
         return PRIMITIVE_VIEWS.find(source.hierarchy.primitive_view).is_egocentric
 
 
-class ControllerTransfer(_Transfer):
+class ControllerTransfer(LevelTransfer):
     """The transfer of a controller."""
 
     name = "controller"

@@ -124,11 +124,6 @@ class Hyperparameters:
             return (draw_episodes,)
         return (draw_pairs,) if len(self.learns) == 1 else (draw_episodes, draw_pairs)
 
-    @property
-    def has_running_episodes(self) -> bool:
-        """Whether episodes continue from generation to generation."""
-        return self.estimates == (draw_pairs,)
-
     def signs(self, generation: int) -> Signs:
         """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
         return self.perturbation.signs(generation, self.population_size, self.mirrored, self.by_episodes)
@@ -239,11 +234,12 @@ def draw_pairs(
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
     if before:
-        starts = _drawn_starts(
-            rng, [each for one in before for each in one.results.snapshots.values()], estimate, groups
-        )
+        snapshots = [each for one in before for each in one.results.snapshots.values()]
+        starts = _drawn_starts(rng, snapshots, estimate, groups)
     else:
-        starts = _running_starts(state.running, groups)
+        running = state.running or RunningEpisodes(states=np.zeros((groups, 0)), steps=np.full(groups, -1))
+        ends = zip(running.states, running.steps.tolist(), strict=True)
+        starts = [None if steps < 0 else Snapshot(state=end, steps=steps) for end, steps in ends]
     tasks = [
         EpisodeTask(
             member=2 * group,
@@ -271,13 +267,6 @@ def draw_pairs(
         ),
         learning_rate=estimate.learning_rate.value(generation),
     )
-
-
-def _running_starts(running: RunningEpisodes | None, groups: int) -> list[Snapshot | None]:
-    """Return a snapshot of each running episode; None for one that starts anew."""
-    running = running or RunningEpisodes(states=np.zeros((groups, 0)), steps=np.full(groups, -1))
-    starts = zip(running.states, running.steps.tolist(), strict=True)
-    return [None if steps < 0 else Snapshot(state=state, steps=steps) for state, steps in starts]
 
 
 def _drawn_starts(

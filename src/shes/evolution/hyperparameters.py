@@ -1,4 +1,4 @@
-"""From the settings of a run to the hyperparameters of Algorithm 1 and the initial state."""
+"""From the settings of a run to the hyperparameters of Algorithm 1."""
 
 from __future__ import annotations
 
@@ -8,25 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from shes.agents.agent import AgentDesign
 from shes.algorithms.problem import Problem
-from shes.es.level import LevelState, UpdateRule
+from shes.es.level import UpdateRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.evolution.archive import Archive
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate, Schedule
 from shes.evolution.evolution_settings import HierarchySettings
-from shes.evolution.state import TrainState
 from shes.evolution.way_search import SLICES, WaySearch
 from shes.options import make
-from shes.streams import Purpose, stream
 
 
 def learns(settings: Any) -> tuple[bool, ...]:
     """Return whether each level learns."""
-    values = settings.values
-    is_frozen = values.get("primitive") is not None and values.get("freeze_primitive", False)
+    is_frozen = settings.values.get("primitive") is not None and settings.values.get("freeze_primitive", False)
     return tuple(not (is_frozen and name == "primitive") for name in settings.level_names)
 
 
@@ -80,7 +76,7 @@ def make_hyperparameters(problem: Problem) -> Hyperparameters:
         **common,
         population_size=evolution.population_size,
         episodes_per_policy=evolution.episodes_per_policy,
-        updates=make_update_rules(settings),
+        updates=_update_rules(settings),
         learns=learns(settings),
         mirrored=evolution.mirrored,
         perturbation=make(PERTURBATIONS, values.get("perturbation", HierarchySettings.perturbation), values),
@@ -123,8 +119,7 @@ def _way_search(problem: Problem) -> WaySearch:
     )
 
 
-def make_update_rules(settings: Any) -> tuple[UpdateRule, ...]:
-    """Return the update rule of each level."""
+def _update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     evolution, values = settings.evolution, settings.values
     rule = UpdateRule(
         weight_decay=evolution.weight_decay,
@@ -136,14 +131,3 @@ def make_update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     if is_branched(settings):
         of_primitive["shaping"] = PairRanks()
     return tuple(replace(rule, **of_primitive) if name == "primitive" else rule for name in settings.level_names)
-
-
-def make_state(settings: Any, design: AgentDesign, seed: int) -> TrainState:
-    """Return the state before the first generation, without transferred parameters."""
-    networks, levels = settings.networks, list[LevelState]()
-    parts = zip(design.level_names, design.policies, make_update_rules(settings), strict=True)
-    for number, (name, policy, rule) in enumerate(parts):
-        rng = stream(seed, Purpose.INITIAL_PARAMETERS, number)
-        theta = policy.initial(rng, networks.biases, networks.output_weights)
-        levels.append(LevelState.start(name, theta, rule.optimizer, policy.sizes[0]))
-    return TrainState(seed=seed, levels=tuple(levels))

@@ -84,16 +84,17 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
             )
 
 
-def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
-    """Raise CheckpointError unless `arrays` can be a later state of the run begun by `start`."""
-    check_headers(arrays, start)
+def check_finite(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise CheckpointError if one of `arrays` holds NaN or infinity."""
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
 
 
-def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
-    """Return the state that `to_arrays` converted."""
+def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
+    """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
+    check_headers(arrays, start)
+    check_finite(arrays)
     running = archive = None
     if "archive/cells" in arrays:
         found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
@@ -106,16 +107,9 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
 
 
 def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
-    start = f"{name}/optimizer_"
-    slots = {key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)}
-    steps = int(slots.pop("steps"))
-    return LevelState(
-        name=name,
-        theta=arrays[f"{name}/theta"],
-        optimizer=OptimizerState(steps=steps, slots=slots),
-        statistics=ObservationStatistics(
-            count=int(arrays[f"{name}/observation_count"]),
-            total=arrays[f"{name}/observation_total"],
-            total_squares=arrays[f"{name}/observation_total_squares"],
-        ),
-    )
+    own = {key.removeprefix(f"{name}/"): values for key, values in arrays.items() if key.startswith(f"{name}/")}
+    theta, steps, count = own.pop("theta"), int(own.pop("optimizer_steps")), int(own.pop("observation_count"))
+    sums = {sums: own.pop(f"observation_{sums}") for sums in ("total", "total_squares")}
+    slots = {key.removeprefix("optimizer_"): values for key, values in own.items()}
+    optimizer, statistics = OptimizerState(steps=steps, slots=slots), ObservationStatistics(count=count, **sums)
+    return LevelState(name=name, theta=theta, optimizer=optimizer, statistics=statistics)

@@ -22,11 +22,12 @@ from shes.evolution.checks import check_effects, check_together, warnings
 from shes.evolution.designs import PRIMITIVE_TRANSFER, SHES_TRANSFERS, branch_design, flat_design, goal_design
 from shes.evolution.estimates import Population
 from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_PRESETS, SES_SECTIONS, SHES_PRESETS, SHES_SECTIONS
-from shes.evolution.hyperparameters import make_hyperparameters, make_state, population, steps_per_generation
-from shes.evolution.state import TrainState, check_arrays, check_headers, from_arrays, to_arrays
+from shes.evolution.hyperparameters import make_hyperparameters, population, steps_per_generation
+from shes.evolution.state import TrainState, check_headers, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
+from shes.streams import Purpose, stream
 from shes.types import ArrayHeader
 
 _MAX_THREADS = 8  # of the gradient; with more, memory bandwidth is the limit
@@ -42,6 +43,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     check_effects = staticmethod(check_effects)
     steps_per_generation = staticmethod(steps_per_generation)
     population = staticmethod(population)
+    warnings = staticmethod(warnings)
 
     def __init__(self, problem: Problem) -> None:
         """Create design and hyperparameters; raise ConfigError if the settings do not fit the environment."""
@@ -50,8 +52,13 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""
-        state, search = make_state(self.problem.settings, self.design, seed), self.hyperparameters.search
-        return state if search is None else replace(state, archive=search.start)
+        networks, search, levels = self.problem.settings.networks, self.hyperparameters.search, list[LevelState]()
+        parts = zip(self.design.level_names, self.design.policies, self.hyperparameters.updates, strict=True)
+        for number, (name, policy, rule) in enumerate(parts):
+            rng = stream(seed, Purpose.INITIAL_PARAMETERS, number)
+            theta = policy.initial(rng, networks.biases, networks.output_weights)
+            levels.append(LevelState.start(name, theta, rule.optimizer, policy.sizes[0]))
+        return TrainState(seed=seed, levels=tuple(levels), archive=None if search is None else search.start)
 
     def run(self, state: TrainState, backend: Backend) -> Generator[Report[TrainState], None, None]:
         """Yield a report after every generation from `state` on, indefinitely."""
@@ -60,9 +67,11 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             before = state.archive
             for report in evolve(state, self.hyperparameters, table, backend, pool):
                 archive = report.state.archive
-                news = [] if archive is None or before is None else archive.news(before)
+                log = [line for each in report.populations for line in each.results.log]
+                if archive is not None and before is not None:
+                    log += archive.news(before)
                 before = archive
-                yield Report(state=report.state, columns=columns(report), log=[*report.log, *news])
+                yield Report(state=report.state, columns=columns(report), log=log)
 
     def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:
         """Return `state` as named arrays."""
@@ -70,8 +79,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
         """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
-        check_arrays(arrays, self.start(0))
-        return from_arrays(arrays)
+        return from_arrays(arrays, self.start(0))
 
     def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
         """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run."""
@@ -98,10 +106,6 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         archive = None if state.archive is None else state.archive.over()
         return replace(state, levels=levels, running=None, archive=archive)
 
-    def warnings(self) -> list[str]:
-        """Return warnings about branches longer than episodes, and schedules that do not end."""
-        return warnings(self.problem.settings)
-
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul: its episodes per generation."""
@@ -109,7 +113,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""
-        return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
+        return replace(super().plan(), branch_design=branch_design(self.problem.settings, self.design))
 
 
 class PrimitiveES(EvolutionAlgorithm):

@@ -151,7 +151,7 @@ class Recorder:
         self._tell("on_start", self.folder.path, self._config, self.checkpoint.generation, backend.num_workers)
         if changes:
             self._tell_event(f"not as before ({', '.join(changes)}): numbers may differ from here on")
-        for warning in self.algorithm.warnings():
+        for warning in self.algorithm.warnings(self.algorithm.problem.settings):
             self._tell_event(warning)
 
     def is_over(self) -> bool:
