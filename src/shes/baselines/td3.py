@@ -24,7 +24,7 @@ from shes.algorithms.contract import Algorithm, Preset, Report
 from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
-from shes.baselines.learner_settings import HIRO_PRESETS, TD3_SECTIONS, LearnerSettings
+from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings
 from shes.baselines.levels import LearnerState, Level, Replay, within
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
@@ -53,7 +53,7 @@ class TD3State:
 class TD3(Algorithm[TD3State]):
     """Trains one policy without goals by gradients. Source: Fujimoto et al. 2018."""
 
-    sections: ClassVar[Mapping[str, type[Settings]]] = TD3_SECTIONS
+    sections: ClassVar[Mapping[str, type[Settings]]] = {"learner": LearnerSettings}
     presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
     packages: ClassVar[tuple[str, ...]] = ("jax", "optax")
     learns_in_main_process: ClassVar[bool] = True
@@ -148,7 +148,7 @@ class TD3(Algorithm[TD3State]):
         num_steps = own.warmup_steps - env_steps if is_random else own.generation_steps
         purposes = (Purpose.TRAINING_EPISODES, Purpose.EXPLORATION, Purpose.REPLAY)
         seeding, exploring, drawing = (stream(state.seed, each, state.generation) for each in purposes)
-        actors = {actor.name: actor for actor in collector.actors}
+        actors = {actor.level.name: actor for actor in collector.actors}
         for name, actor in actors.items():
             actor.is_random = is_random
             actor.use(learners[name].actor, learners[name].statistics)
@@ -238,11 +238,6 @@ def check_problem(problem: Problem) -> EpisodeBatch:
         fault = (
             f"batch_size is {own.batch_size:,}, more than the {own.replay_size:,} transitions of replay_size: nothing "
             "would ever be learned. Set --batch-size lower, or --replay-size higher."
-        )
-    elif own.num_envs > own.generation_steps:  # they take memory, and most play nothing
-        fault = (
-            f"num_envs is {own.num_envs:,}, but a generation has {own.generation_steps:,} environment steps "
-            f"(generation_steps). Set --num-envs {own.generation_steps} or less."
         )
     elif task.ends_early:
         fault = (
