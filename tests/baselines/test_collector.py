@@ -80,18 +80,6 @@ def test_episodes_begin_until_the_steps_are_made_and_all_end():
     assert [(each["steps"], each["terminated"]) for each in collector.episodes] == [(7, 0), (7, 0)]
 
 
-def test_returns_are_of_unscaled_rewards():
-    rows, rewards, collector = collect(algorithm("td3", "point-maze", reward_scale=0.5))
-    np.testing.assert_allclose(rows["policy"]["reward"], 0.5 * rewards[:, 0], rtol=1e-6)
-    assert collector.episodes[0]["policy_return"] == pytest.approx(rewards.sum())
-    rows, rewards, collector = collect(algorithm(env="point-maze", reward_scale=0.5))
-    intrinsic = rows["primitive"]["reward"]
-    assert len(rows["controller"]["reward"]) == 2  # the third interval is cut short
-    np.testing.assert_allclose(collector.goal_distances, -intrinsic[[3, 7]], rtol=1e-6)
-    assert collector.episodes[0]["controller_return"] == pytest.approx(rewards.sum())
-    assert collector.episodes[0]["primitive_return"] == pytest.approx(intrinsic.sum(), rel=1e-5)
-
-
 FALLS = {"env": "ant-gather", "spec": "hiro", "horizon": 200}
 
 
@@ -125,6 +113,7 @@ def test_intervals_are_the_steps_of_the_primitive(settings):
     learner = algorithm(**{**settings, "horizon": horizon, "num_envs": num_envs, "reward_scale": scale})
     collector, batch, _ = collector_of(learner)
     size, steps, played, following, ends = len(learner.design.half_range), np.zeros(num_envs), [[], [], []], {}, []
+    distances, returns = [], np.zeros(2)
     for number, block in enumerate(collector.run(400, count(), np.random.default_rng(0))):
         running = np.flatnonzero(collector.steps != steps)
         steps, reward, fallen = collector.steps.copy(), batch.reward.copy(), batch.terminated.copy()
@@ -136,6 +125,9 @@ def test_intervals_are_the_steps_of_the_primitive(settings):
             following[row] = step["next_inputs"]
             assert step["goes_on"] == 1  # it would learn to fall
             played[row].append({**step, "earned": reward[row]})
+            returns += reward[row], step["reward"]  # as they are, not scaled
+            if steps[row] % INTERVAL == 0:
+                distances.append(-step["reward"])
             if fallen[row] or steps[row] % INTERVAL == 0:
                 made = {name: values[k] for k in [next(intervals)] for name, values in block["controller"].items()}
                 own = {name: np.array([each[name] for each in played[row]]) for name in played[row][0]}
@@ -157,6 +149,9 @@ def test_intervals_are_the_steps_of_the_primitive(settings):
         assert next(intervals, None) is None
         if number % 17 == 5 and "spec" in settings:
             batch.sim.qpos[number % num_envs, 2] = 5.0  # it falls by the rule of the task
+    np.testing.assert_allclose(collector.goal_distances, distances, rtol=1e-6)
+    episodes = [[each["controller_return"], each["primitive_return"]] for each in collector.episodes]
+    np.testing.assert_allclose(np.sum(episodes, axis=0), returns, rtol=1e-5)
     falls, dense = np.sum(ends, axis=0)
     assert len(ends) > 90
     assert falls > 5 if "spec" in settings else dense == len(ends)

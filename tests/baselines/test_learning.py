@@ -11,13 +11,7 @@ import jax
 
 from shes.agents.mlp import RectifiedMLP, normalise
 from shes.baselines.learner_settings import LearnerSettings
-from shes.baselines.learning import (
-    LOSSES,
-    ControllerLearner,
-    LevelLearner,
-    candidates,
-    compiled_update,
-)
+from shes.baselines.learning import LOSSES, ControllerLearner, LevelLearner, candidates, compiled_update
 from shes.baselines.levels import Level, Replay, flat
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

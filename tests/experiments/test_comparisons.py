@@ -107,16 +107,9 @@ def test_equal_budgets_are_over_steps_and_hours_and_corrected():
 
     def points(each):
         speed, ends = (1, 2) if each.variant == "base" else (2, 4)
-        return [
-            {
-                "env_steps": 1e6 * at,
-                "seconds": 3600 * at * speed,
-                "score_mean": at * speed,
-                "primitive_env_steps": None,
-                "primitive_seconds": None,
-            }
-            for at in range(1 + ends)
-        ]
+        none = {"primitive_env_steps": None, "primitive_seconds": None}
+        of_step = {"env_steps": 1e6, "seconds": 3600 * speed, "score_mean": speed}
+        return [{**none, **{name: at * value for name, value in of_step.items()}} for at in range(1 + ends)]
 
     def row_of(each):
         return {"best_score": 7.0, "seconds": 1800 * each.seed, "env_steps": 100 * each.seed}

@@ -50,27 +50,17 @@ def task_model(name, spec, **options):
     return environment.task.build_world(environment.body(), environment.task.Options(spec=spec, **options)).compile()
 
 
-def set_pose(model, qpos, rng):
-    """Set a pose within the joint limits, in any orientation."""
-    for joint, address in enumerate(model.jnt_qposadr):
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-            qpos[address + 3 : address + 7] = (q := rng.normal(size=4)) / np.linalg.norm(q)
-        else:
-            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-1, 1)
-            qpos[address] = rng.uniform(0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high)
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @over_models
 def test_a_substep_where_nothing_touches_is_that_of_mujoco(name, spec, integrator):
     model, num_sims = task_model(name, spec, integrator=integrator), 8
-    # In some worlds a block always touches the walls; the rest of the physics is compared.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # In some worlds a block always touches the walls, and a default pose may lie beyond the limits.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     rng = np.random.default_rng(3)
     warp, cpu = WarpCpu(model, num_sims), CpuSimulator(model, num_sims)
     limit = model.actuator_ctrlrange[:, 1]
     for i in range(num_sims):
-        set_pose(model, cpu.qpos[i], rng)
+        mujoco.mj_integratePos(model, cpu.qpos[i], rng.normal(0, 0.5, model.nv), 1.0)
         cpu.qvel[i], cpu.ctrl[i] = rng.normal(0, 1, model.nv), rng.uniform(-limit, limit)
     for field in FIELDS:
         getattr(warp, field)[:] = getattr(cpu, field)
@@ -154,33 +144,8 @@ def test_a_block_between_walls_stands_where_it_stands_in_c(name):
     assert np.abs(warp.qpos[0, -2:]).max() < 0.03
 
 
-@pytest.mark.parametrize("cone", ["pyramid", "ellipse"])
-def test_a_substep_with_feet_on_the_ground_is_nearly_that_of_c(cone):
-    """Capsule contacts have the tangents of MuJoCo in C; else a substep is off by up to 0.6 m/s."""
-    model, num_sims, ids = ant_model(), 32, np.arange(32)
-    model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if cone == "pyramid" else mujoco.mjtCone.mjCONE_ELLIPTIC
-    rng = np.random.default_rng(0)
-    warp, cpu = WarpCpu(model, num_sims), CpuSimulator(model, num_sims)
-    cpu.qvel[:] = rng.normal(0, 0.1, cpu.qvel.shape)
-    data, contacts = mujoco.MjData(model), 0
-    for _ in range(40):
-        cpu.ctrl[:] = rng.uniform(-30, 30, cpu.ctrl.shape)
-        cpu.step(ids, 4)
-        for field in FIELDS:
-            getattr(warp, field)[:] = getattr(cpu, field)
-            getattr(cpu, field)[:] = getattr(warp, field)
-        data.qpos[:], data.qvel[:] = cpu.qpos[0], cpu.qvel[0]
-        mujoco.mj_fwdPosition(model, data)
-        contacts += data.ncon
-        warp.step(ids, 1)
-        cpu.step(ids, 1)
-        assert_allclose(warp.qvel, cpu.qvel, atol=2e-3, rtol=0)
-        assert np.median(np.abs(warp.qvel - cpu.qvel)) < 1e-5
-    assert contacts > 20
-
-
 def test_walks_of_two_seconds_are_those_of_c():
-    """The median error is 2e-6 m; with mujoco-warp's own tangents it would be 0.2 m."""
+    """The median error is 2e-6 m; with mujoco-warp's own tangents of contacts it would be 0.2 m."""
     num_episodes, ids = 32, np.arange(32)
     places = []
     for simulator in (WarpCpu, CpuSimulator):
