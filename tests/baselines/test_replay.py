@@ -47,7 +47,7 @@ def test_it_is_sampled_as_a_plain_list(count, seed):
     np.testing.assert_array_equal(drawn["reward"], np.array(content(replay))[indices])
 
 
-def test_a_buffer_stays_as_it_is_while_the_next_generation_is_stored():
+def test_a_buffer_stays_while_the_next_generation_is_stored():
     """So a checkpoint can be written meanwhile, without a copy."""
     replay = appended(EMPTY, 0, 25)
     arrays, before = replay.to_arrays(), content(replay)

@@ -48,7 +48,7 @@ def test_curves_without_test_scores_or_steps_are_not_compared(other):
     assert equal_budget([curve((0, 0.0), (100, 1.0))] * 2, [curve((0, 0.0), (9, 1.0)), other], "env_steps") == {}
 
 
-def test_variants_are_compared_with_the_base_and_corrected_in_groups():
+def test_variants_are_compared_with_the_base_and_corrected():
     variants = [("choices", "base"), ("choices", "worse"), ("choices", "same"), ("other", "frozen"), ("other", "free")]
     members = [run(name, seed, group=group) for group, name in variants for seed in range(10)]
     made = experiment(*members, pairs=within("other", ("frozen", "free")))

@@ -36,7 +36,7 @@ def made(name, scale="laptop", seeds=1):
 
 
 @pytest.mark.parametrize(("name", "scale"), PLACES)
-def test_a_design_names_what_there_is_with_settings_that_are_allowed(name, scale, tmp_path):
+def test_a_design_is_complete_and_its_settings_are_allowed(name, scale, tmp_path):
     design = made(name, scale)
     variants = {(each.group, each.variant) for each in design.runs}
     assert len({each.name for each in design.runs}) == len(design.runs)
@@ -68,7 +68,7 @@ DIGESTS = {
 
 
 @pytest.mark.parametrize(("name", "scale"), DIGESTS)
-def test_the_settings_of_the_papers_experiments_change_on_purpose_only(name, scale):
+def test_settings_of_the_papers_experiments_change_on_purpose(name, scale):
     digests = sorted((each.name, each.digest) for each in made(name, scale).runs)
     found = hashlib.sha256(repr(digests).encode()).hexdigest()[:8]
     assert found == DIGESTS[name, scale], "if that was meant, write the new digest here, and what it is to CHANGELOG.md"

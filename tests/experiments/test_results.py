@@ -22,7 +22,7 @@ def results_of(each, **row):
     return RunResults(row={**each.identity, "best_score": 0.1, "commit": "a; b", **row}, curve=curve)
 
 
-def test_a_summary_is_read_back_and_that_of_other_settings_refused(tmp_path):
+def test_a_summary_is_read_back_unless_settings_differ(tmp_path):
     results = results_of(run(), best_success=None)
     assert read_summary(run(), tmp_path) is None
     write_summary(run(), tmp_path, results)
@@ -59,7 +59,7 @@ def test_a_folder_takes_precedence_over_a_row(tmp_path):
     assert read_results(ONE, tmp_path) == {}
 
 
-def test_rows_of_other_runs_stay_and_those_of_the_same_are_replaced(tmp_path):
+def test_rows_of_other_runs_stay_and_the_same_are_replaced(tmp_path):
     other = run("other")
     for each, score in ((run(), 0.1), (other, 0.2), (run(), 0.3)):
         write_tables(experiment(each), {each.name: results_of(each, best_score=score)}, tmp_path)

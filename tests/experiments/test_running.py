@@ -142,7 +142,7 @@ def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeyp
         made(finished / run().name, run())
 
 
-def test_a_primitive_is_made_before_what_takes_it_wherever_the_folder_lies(tmp_path, monkeypatch):
+def test_a_primitive_is_made_before_what_takes_it(tmp_path, monkeypatch):
     source = run(env="point-flagrun", group="transfer")
     taker = run("frozen", group="transfer", primitive=source, freeze_primitive=True)
     failed, found = made(tmp_path / "a", taker, source)
@@ -183,7 +183,7 @@ def note_cores(place, each):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be kept on a core here")
-def test_a_process_keeps_to_a_core_if_all_are_used_and_ends_all_if_killed(tmp_path):
+def test_a_process_keeps_to_a_core_and_ends_all_if_killed(tmp_path):
     cores = core_numbers()
     one = partial(note_cores, tmp_path)
     assert list(side_by_side(one, len(cores), ["pinned"])) == [("pinned", "")]

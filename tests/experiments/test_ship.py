@@ -45,7 +45,7 @@ def agents(place, tmp_path, monkeypatch):
     return place
 
 
-def test_an_agent_is_a_small_run_folder_without_what_training_needs(agents, walker_run):
+def test_an_agent_is_a_run_folder_without_what_training_needs(agents, walker_run):
     folder = agents / "point-walker"
     assert {path.name for path in folder.iterdir()} == FILES
     assert [path.name for path in (folder / "checkpoints").iterdir()] == ["best.npz"]
@@ -130,7 +130,7 @@ def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_ships_an_agent_and_prints_what_is_told_of_it(tiny_run, tmp_path, capsys):
+def test_the_command_ships_an_agent_and_prints_its_facts(tiny_run, tmp_path, capsys):
     commands = ["--command", "shes train a", "--command", "shes train b", "--into", str(tmp_path / "agents")]
     words = ["ship", str(tiny_run), "mine", "--description", "A point.", *commands]
     earlier = ["--earlier", str(tiny_run)]

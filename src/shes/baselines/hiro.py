@@ -251,14 +251,16 @@ class HIRO(TD3):
     def make_levels(self) -> tuple[Level, ...]:
         """Return the controller and the primitive."""
         design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
-        of_interval = {
-            "goal": (size,),
-            "change": (size,),
-            "moved": (interval, size),
-            "view": (interval, design.primitive.sizes[0] - size),
-            "actions": (interval, design.primitive.sizes[-1]),
-            "is_step": (interval,),
-        }
         goals = self.problem.settings.goals
-        controller = self.make_level("controller", design.half_range, goals.goal_noise, of_interval)
+        controller = self.make_level(
+            "controller",
+            design.half_range,
+            goals.goal_noise,
+            goal=(size,),
+            change=(size,),
+            moved=(interval, size),
+            view=(interval, design.primitive.sizes[0] - size),
+            actions=(interval, design.primitive.sizes[-1]),
+            is_step=(interval,),
+        )
         return replace(controller, update_interval=goals.controller_update_interval), *super().make_levels()

@@ -80,13 +80,11 @@ class TD3(Algorithm[TD3State]):
     def make_levels(self) -> tuple[Level, ...]:
         """Return the levels, controller first: here that alone which acts every step."""
         own, actions = self.settings, self.design.policies[-1].sizes[-1]
-        limits, shapes = (self.design.control_limit,) * actions, {"action": (actions,)}
-        level = self.make_level(self.level_names[-1], limits, own.exploration_noise, shapes)
+        limits = (self.design.control_limit,) * actions
+        level = self.make_level(self.level_names[-1], limits, own.exploration_noise, action=(actions,))
         return (replace(level, update_interval=own.update_interval, updates=own.update_interval),)
 
-    def make_level(
-        self, name: str, half_range: tuple[float, ...], exploration_noise: float, shapes: Mapping[str, tuple[int, ...]]
-    ) -> Level:
+    def make_level(self, name: str, half_range: tuple[float, ...], noise: float, **shapes: tuple[int, ...]) -> Level:
         """Return a level whose transitions have arrays of these `shapes` in addition to those of every level."""
         own, actor = self.settings, self.design.networks[name]
         common = {"inputs": actor.sizes[:1], "reward": (), "goes_on": (), "next_inputs": actor.sizes[:1]}
@@ -96,7 +94,7 @@ class TD3(Algorithm[TD3State]):
             name=name,
             actor=actor,
             half_range=tuple(map(float, half_range)),
-            exploration_std=own.noise_units(half_range) * exploration_noise,
+            exploration_std=own.noise_units(half_range) * noise,
             settings=own,
             replay=Replay(shapes={**common, **shapes}, capacity=own.replay_size, slack=slack),
         )
@@ -161,12 +159,8 @@ class TD3(Algorithm[TD3State]):
                 learners[name].update(count, drawing)
                 actors[name].use(learners[name].actor, learners[name].statistics)
         finished = {name: learner.finish() for name, learner in learners.items()}
-        state = TD3State(
-            seed=state.seed,
-            generation=state.generation + 1,
-            env_steps=env_steps,
-            learners=tuple(level for level, _ in finished.values()),
-        )
+        ended = tuple(level for level, _ in finished.values())
+        state = replace(state, generation=state.generation + 1, env_steps=env_steps, learners=ended)
         rollout_s, physics_s = collector.rollout_s, collector.physics_s
         seconds = {"rollout_s": rollout_s, "update_s": perf_counter() - start - rollout_s, "physics_s": physics_s}
         times = {name: round(value, 4) for name, value in seconds.items()}

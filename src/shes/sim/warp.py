@@ -26,13 +26,11 @@ from shes.sim.simulator import Simulator
 from shes.sim.warp_device import WarpDevice, load_warp
 from shes.types import IntArray
 
-_MAX_CONTACTS = 2**31 - 1
-"""Largest number of contacts of all simulations together."""
+_MAX_CONTACTS = 2**31 - 1  # of all simulations together
 _CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
 """Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
 _CONTACTS_OF_OTHERS = 8
-_TOUCHES_OF_OTHERS = 3
-"""Geoms that another shape touches at once: a block touches the ground and two walls."""
+_TOUCHES_OF_OTHERS = 3  # geoms at once: a block touches the ground and two walls
 
 
 def default_sizes(model: mujoco.MjModel) -> tuple[int, int]:
