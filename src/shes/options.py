@@ -25,9 +25,14 @@ TAKEN = frozenset({
 
 
 def make(registry: Registry[type[T]], name: str, values: Mapping[str, Any]) -> T:
-    """Return an object of the class registered as `name`, with those of `values` that are its own settings."""
+    """Return an object of the class registered as `name`, with those of `values` that are its own settings.
+
+    A class may have a method `check_result(name)`, which raises ConfigError for a wrong result.
+    """
     cls: Any = registry.find(name)
     made: Any = cls.of(values) if issubclass(cls, Settings) else cls()
+    if hasattr(made, "check_result"):
+        made.check_result(name)
     return made
 
 

@@ -7,16 +7,7 @@ import pytest
 
 from shes.agents.mlp import MLP, RectifiedMLP, aligned_rows
 from shes.errors import ConfigError
-
-
-def _layers(theta, sizes):
-    """Return the explicit (weights, biases) of a flat parameter vector."""
-    layers, rest = [], list(theta)
-    for fan_in, fan_out in itertools.pairwise(sizes):
-        weights = [[rest.pop(0) for _ in range(fan_out)] for _ in range(fan_in)]
-        layers.append((np.array(weights), np.array([rest.pop(0) for _ in range(fan_out)])))
-    assert rest == []
-    return layers
+from tests.rollout import plain_agent
 
 
 def _policies(mlp, count):
@@ -26,31 +17,27 @@ def _policies(mlp, count):
     return theta
 
 
-def _observation(mlp, count, episodes, seed=0):
-    return np.random.default_rng(seed).normal(size=(count, episodes, mlp.sizes[0])).astype(np.float32)
-
-
 @pytest.mark.parametrize("kind", [MLP, RectifiedMLP])
 @pytest.mark.parametrize("hidden", [(), (6,), (4, 3, 8)])
 def test_outputs_equal_a_plain_loop_over_policies(hidden, kind):
     mlp, activate = kind(9, hidden, 3), np.tanh if kind is MLP else lambda x: np.maximum(x, 0)
-    theta, observation = _policies(mlp, 4), _observation(mlp, 4, 5)
+    theta, observation = _policies(mlp, 4), np.random.default_rng(0).normal(size=(4, 5, 9)).astype(np.float32)
     theta.flags.writeable = observation.flags.writeable = False
     outputs = mlp.act(theta, observation)
     assert (outputs.shape, outputs.dtype) == ((4, 5, 3), np.float32)
     for policy, episode in np.ndindex(4, 5):
-        *inner, last = _layers(theta[policy].astype(float), mlp.sizes)
-        x = observation[policy, episode].astype(float)
-        for weights, biases in inner:
-            x = activate(x @ weights + biases)
-        assert outputs[policy, episode] == pytest.approx(np.tanh(x @ last[0] + last[1]), abs=1e-5)
+        expected = plain_agent.network(mlp, theta[policy], observation[policy, episode], activate)
+        assert outputs[policy, episode] == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("episodes", [1, 3, 8])
 @pytest.mark.parametrize("hidden", [(8,), (64, 64), (256, 256, 256)])
-def test_outputs_are_bit_identical_in_any_stack(hidden, episodes):
+def test_outputs_are_bit_identical_in_any_company(hidden, episodes):
+    """Of other policies in the stack, and of other episodes of the policy."""
     for mlp in (MLP(53, hidden, 8), MLP(50, hidden, 2)):  # the ant's primitive and controller
-        theta, observation = _policies(mlp, 7), _observation(mlp, 7, episodes)
+        theta, rng = _policies(mlp, 7), np.random.default_rng(0)
+        assert all(row.ctypes.data % 64 == 0 for row in theta)
+        observation, other = rng.normal(size=(2, 7, episodes, mlp.sizes[0])).astype(np.float32)
         alone = [mlp.act(theta[i : i + 1], observation[i : i + 1])[0].tobytes() for i in range(7)]
         assert len(set(alone)) == 7
         for members in ([0, 1], [3, 0, 5], [6, 5, 4, 3, 2, 1, 0], [2, 2, 2, 2]):
@@ -58,23 +45,8 @@ def test_outputs_are_bit_identical_in_any_stack(hidden, episodes):
             stack[:] = theta[members]
             outputs = mlp.act(stack, np.ascontiguousarray(observation[members]))
             assert [row.tobytes() for row in outputs] == [alone[i] for i in members]
-
-
-@pytest.mark.parametrize("hidden", [(8,), (64, 64), (256, 256, 256)])
-def test_an_episode_does_not_depend_on_the_policys_others(hidden):
-    mlp = MLP(53, hidden, 8)
-    theta, observation, other = _policies(mlp, 1), *(_observation(mlp, 1, 5, seed) for seed in (0, 1))
-    other[0, 3] = observation[0, 3]
-    assert mlp.act(theta, other)[0, 3].tobytes() == mlp.act(theta, observation)[0, 3].tobytes()
-
-
-@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 16), (5, 17), (4, 1000)])
-def test_aligned_rows_start_on_cache_lines(rows, columns):
-    array = aligned_rows(rows, columns)
-    assert (array.shape, array.dtype, array.any()) == ((rows, columns), np.float32, False)
-    assert all(row.ctypes.data % 64 == 0 for row in array)
-    array[:] = np.arange(rows)[:, None]
-    assert np.array_equal(array, np.repeat(np.arange(rows), columns).reshape(rows, columns))
+        other[:, -1] = observation[:, -1]
+        assert mlp.act(theta, other)[:, -1].tobytes() == mlp.act(theta, observation)[:, -1].tobytes()
 
 
 def test_initial_parameters_are_glorot_normal_layer_by_layer():
@@ -88,24 +60,8 @@ def test_initial_parameters_are_glorot_normal_layer_by_layer():
     assert np.mean(sums, axis=0) == pytest.approx(expected, rel=0.1)
 
 
-@pytest.mark.parametrize("biases", ["zero", "glorot_normal"])
-@pytest.mark.parametrize("output", ["zero", "glorot_normal"])
-@pytest.mark.parametrize("hidden", [(), (6,), (7, 5)])
-def test_initialisations_differ_only_where_they_say(hidden, output, biases):
-    mlp, rngs = MLP(4, hidden, 3), [np.random.default_rng(1) for _ in range(2)]
-    found = _layers(mlp.initial(rngs[0], biases, output), mlp.sizes)
-    full = _layers(mlp.initial(rngs[1], "glorot_normal", "glorot_normal"), mlp.sizes)
-    assert all(part.all() for layer in full for part in layer)
-    for number, ((weights, bias), (all_weights, all_biases)) in enumerate(zip(found, full, strict=True)):
-        is_drawn = output != "zero" or number < len(hidden)
-        assert np.array_equal(weights, all_weights * is_drawn)
-        assert np.array_equal(bias, all_biases * (is_drawn and biases != "zero"))
-    assert rngs[0].random() == rngs[1].random()  # the same numbers are drawn
-
-
 @pytest.mark.parametrize("hidden", [(0,), (64, -1)])
 def test_a_layer_that_is_not_positive_is_refused(hidden):
-    with pytest.raises(
-        ConfigError, match=r"hidden must be positive whole numbers, e\.g\. --hidden 64 64, got \(.*--hid"
-    ):
+    message = r"hidden must be positive whole numbers, e\.g\. --hidden 64 64, got \(.*--hid"
+    with pytest.raises(ConfigError, match=message):
         MLP(3, hidden, 2)

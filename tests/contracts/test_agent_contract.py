@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from shes.agents.agent import AgentInputs
 from shes.runs.build import build_algorithm, build_task
 from shes.runs.make_config import make_config
 from tests.rollout.designs import INTERVAL, OBSERVED, every_design, levels_of, thetas_of
@@ -140,7 +141,7 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
             "decision_noise": rng.normal(0, 0.1, (2, EPISODES, of.design.decision_size)).astype(np.float32),
             "control_noise": rng.normal(0, 0.1, (2, EPISODES, agent.design.policies[-1].sizes[-1])).astype(np.float32),
         }
-        controls = agent.act(**seen, **noise)
+        controls = agent.act(AgentInputs(**seen, **noise))
         after = seen["position"] + rng.normal(0, 0.3, (len(plain), 2))
         if agent.goal is not None and step % 3:
             after[step % 4] = agent.goal[step % 4] + (0.3, -0.2)  # one of the robots reaches its goal
@@ -177,7 +178,7 @@ def test_no_bit_depends_on_lanes_company_or_what_was_before(name, episodes):
                 if step == delay:
                     of.start(agent, place, member)
                 rows.append(of.rows(min(max(step - delay, 0), STEPS - 1), [member], episodes))
-            out = agent.act(**{name: np.concatenate([each[name] for each in rows]) for name in rows[0]})
+            out = agent.act(AgentInputs(**{name: np.concatenate([each[name] for each in rows]) for name in rows[0]}))
             paid = agent.intrinsic_reward(np.ones((len(out), 2)))
             for place, (member, delay) in enumerate(zip(members, delays, strict=True)):
                 if delay <= step < STEPS + delay:
@@ -209,7 +210,7 @@ def test_members_that_share_noise_act_as_without(name):
         agent.start(slice(None))
     for step in range(STEPS):
         seen = of.rows(step, range(MEMBERS))
-        assert shared.act(**seen) == pytest.approx(own.act(**seen), abs=1e-3)
+        assert shared.act(AgentInputs(**seen)) == pytest.approx(own.act(AgentInputs(**seen)), abs=1e-3)
         if own.goal is not None:
             assert shared.goal == pytest.approx(own.goal, abs=1e-5)
 
@@ -224,10 +225,10 @@ def test_acting_writes_into_nothing_that_others_hold(name):
     seen = [of.rows(step, [0, 1]) for step in range(2)]
     for array in (*noise.values(), *seen[0].values(), *seen[1].values()):
         array.flags.writeable = False
-    controls = agent.act(**seen[0], **noise)
+    controls = agent.act(AgentInputs(**seen[0], **noise))
     kept, goal = controls.tobytes(), None if agent.goal is None else agent.goal.copy()
     agent.intrinsic_reward(seen[0]["position"])
-    agent.act(**seen[1], **noise)
+    agent.act(AgentInputs(**seen[1], **noise))
     assert controls.tobytes() == kept
     for array in seen[0].values():  # an environment's arrays are live, the goal that is held is not
         array.flags.writeable = True
@@ -242,7 +243,7 @@ def test_controls_are_outputs_times_their_limit_after_a_journey(name):
     arrived = pickle.loads(pickle.dumps(of.design))  # noqa: S301 - our own bytes
     for limit in (1.0, 30.0):
         agent = of.agent([0, 1], scale=20, design=replace(arrived, control_limit=limit))
-        bits.append(np.array([agent.act(**of.rows(step, [0, 1])) for step in range(STEPS)]))
+        bits.append(np.array([agent.act(AgentInputs(**of.rows(step, [0, 1]))) for step in range(STEPS)]))
     assert bits[0].dtype == np.float32
     assert 0.9 < np.abs(bits[0]).max() <= 1
     assert bits[1] == pytest.approx(30 * bits[0], rel=1e-6)

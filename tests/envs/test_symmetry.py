@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from shes.agents.agent import AgentInputs
 from shes.agents.goal_agent import Frames, GoalDesign
 from shes.agents.goals import AngleEncoding
 from shes.agents.mlp import MLP
@@ -210,7 +211,7 @@ def test_a_primitive_acts_in_images_of_its_group_as_in_the_world(states, kind, e
     for step, (qpos, qvel) in enumerate(zip(*states, strict=True)):
         seen = np.array([np.concatenate([each.qpos(qpos), each.qvel(qvel)]) for each in images])
         goal = np.array([each.point(goals[step // 4]) for each in images])
-        found.append(agent.act(seen, seen[:, :2].copy(), Ant().heading(seen[:, :15]), goal=goal).copy())
+        found.append(agent.act(AgentInputs(seen, seen[:, :2].copy(), Ant().heading(seen[:, :15]), goal)).copy())
     base, *controls = np.array(found).swapaxes(0, 1)
     assert np.ptp(base, axis=0).min() > 0.01
     for number, (image, own) in enumerate(zip(images[1:], controls, strict=True)):

@@ -31,7 +31,6 @@ from tests.rollout.formula import (
     formula_state,
     noise_of,
     same_level,
-    start_state,
 )
 
 
@@ -108,7 +107,7 @@ def test_every_level_has_its_own_rule(table):
 
 def test_the_state_alone_decides_how_a_run_goes_on(table):
     """Not threads, not what was before, and it stays as it was."""
-    state = start_state([np.ones(dim, np.float32) for dim in DIMS], DIMS)
+    state = formula_state()
     before = bits(state)
     _, whole = formula_run(table, 6, state=state)
     with ThreadPoolExecutor(3) as pool:

@@ -6,12 +6,13 @@ import numpy as np
 
 from shes.agents.agent import FlatDesign
 from shes.agents.goal_agent import Controller, GoalDesign
-from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, make_controller_output, make_goal_encoding
+from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
 from shes.agents.mlp import MLP
-from shes.agents.rewards import PRIMITIVE_REWARDS, make_primitive_reward
+from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import Clock, ColumnsView
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
+from shes.options import make
 
 OBSERVED = 5
 ACTIONS = 2
@@ -29,12 +30,12 @@ def flat(clock=None, hidden=(8,)):
 
 def primitive(encoding="angle", reward="progress", clock=None, view=VIEWS[0], hidden=(8,), **options):
     """Return the design of a primitive that follows the environment's goals, or recorded ones."""
-    inputs = make_goal_encoding(encoding, {}).size + (clock.size if clock else 0) + view.size(OBSERVED)
+    inputs = make(GOAL_ENCODINGS, encoding, {}).size + (clock.size if clock else 0) + view.size(OBSERVED)
     design = GoalDesign(
         primitive=MLP(inputs, hidden, ACTIONS),
         primitive_view=view,
-        goal_encoding=make_goal_encoding(encoding, {}),
-        primitive_reward=make_primitive_reward(reward, {}),
+        goal_encoding=make(GOAL_ENCODINGS, encoding, {}),
+        primitive_reward=make(PRIMITIVE_REWARDS, reward, {}),
         controller_interval=INTERVAL,
         control_limit=1.0,
         clock=clock,
@@ -44,7 +45,7 @@ def primitive(encoding="angle", reward="progress", clock=None, view=VIEWS[0], hi
 
 def both(output="vector", sees=VIEWS[0], hidden=(8,), *, is_minimum=True, distance=4.0, **options):
     """Return the design of a controller with a `primitive`."""
-    made = make_controller_output(output, {})
+    made = make(CONTROLLER_OUTPUTS, output, {})
     controller = Controller(
         network=MLP(sees.size(OBSERVED), hidden, made.size),
         output=made,

@@ -1,25 +1,18 @@
 """A task without physics that keeps the Task contract: deterministic, and exact in whatever batch it runs.
 
-How an episode goes is in its seed: `Script.of(seed)`. Only + - * / are used, so no bit depends on the batch. Worker
+How an episode ends is in its seed: see `ends_of`. Only + - * / are used, so no bit depends on the batch. Worker
 processes import this module: `FakeEnvironment` is what a plan sends them.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 
-class Script(NamedTuple):
-    """When an episode ends by itself: after so many steps, 0 for never."""
-
-    terminates_after: int
-    diverges_after: int
-
-    @classmethod
-    def of(cls, seed):
-        kind, number = seed % 4, 1 + seed // 4 % 20
-        return cls(number if kind in (1, 3) else 0, number if kind in (2, 3) else 0)
+def ends_of(seed):
+    """Return after how many steps an episode terminates and diverges, 0 for never."""
+    kind, number = seed % 4, 1 + seed // 4 % 20
+    return number * (kind in (1, 3)), number * (kind in (2, 3))
 
 
 def make_seed(*, terminates_after=0, diverges_after=0, draw=0):
@@ -45,7 +38,7 @@ class FakeTask:
         self.goal_interval = goal_interval
         self.stays_for = 0.0
         self.goal = np.ones((num_episodes, 2)) if goal_interval else None
-        self.scripts, self.seeds = [Script(0, 0)] * num_episodes, np.full(num_episodes, -1)
+        self.terminates_after, self.diverges_after, self.seeds = np.zeros((3, num_episodes), int)
         self.age, self.heading = np.zeros(num_episodes, int), np.zeros(num_episodes)
         self.position, self.wind = np.zeros((2, num_episodes, 2))
         self.reward, self.running_return = np.zeros((2, num_episodes))
@@ -53,7 +46,7 @@ class FakeTask:
 
     @property
     def terminated(self):
-        return np.array([0 < s.terminates_after <= age for s, age in zip(self.scripts, self.age, strict=True)])
+        return (self.terminates_after > 0) & (self.terminates_after <= self.age)
 
     @property
     def fallen(self):
@@ -85,7 +78,7 @@ class FakeTask:
         self.age[ids] = 0
         for i, seed in zip(ids, seeds, strict=True):
             rng = np.random.default_rng(seed)
-            self.scripts[i], self.seeds[i] = Script.of(seed), seed
+            (self.terminates_after[i], self.diverges_after[i]), self.seeds[i] = ends_of(seed), seed
             self.position[i], self.wind[i] = rng.uniform(-2, 2, 2), rng.uniform(-0.1, 0.1, 2)
             self.heading[i] = rng.uniform(-3, 3)
             self._move_goal(i)
@@ -102,7 +95,7 @@ class FakeTask:
         self.heading[ids] += 0.1 * action[ids, 0]
         self.age[ids] += 1
         for i in ids:
-            if self.age[i] == self.scripts[i].diverges_after:
+            if self.age[i] == self.diverges_after[i]:
                 self.diverged[i] = True
                 self.position[i] = 0  # the simulator's own reset state: finite
             if self.goal_interval and self.age[i] % self.goal_interval == 0:

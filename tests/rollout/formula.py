@@ -38,14 +38,6 @@ SETTINGS = Hyperparameters(
 )
 
 
-def start_state(thetas, sizes, *, seed=3, settings=SETTINGS, names=("controller", "primitive")):
-    levels = tuple(
-        LevelState.start(name, theta, rule.optimizer, size)
-        for name, theta, size, rule in zip(names, thetas, sizes, settings.updates, strict=True)
-    )
-    return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
-
-
 class FormulaBackend(Backend):
     """Pays each member by a formula of its parameters, and remembers what it was asked.
 
@@ -102,7 +94,11 @@ def formula(controller, primitive):
 
 def formula_state(settings=SETTINGS):
     rng = np.random.default_rng(0)
-    return start_state([rng.normal(size=dim).astype(np.float32) for dim in DIMS], DIMS, settings=settings)
+    levels = tuple(
+        LevelState.start(name, rng.normal(size=dim).astype(np.float32), rule.optimizer, dim)
+        for name, dim, rule in zip(("controller", "primitive"), DIMS, settings.updates, strict=True)
+    )
+    return TrainState(seed=3, generation=0, env_steps=0, levels=levels)
 
 
 def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, diverging=()):
@@ -137,12 +133,6 @@ def check_against_textbook(table, settings, generations=5, diverging=(), **optio
         for level, theta in zip(report.state.levels, book.thetas, strict=True):
             assert level.theta == pytest.approx(theta, abs=1e-5)
     return backend, reports
-
-
-def shaped_fitness(population, level, rule):
-    """Return the shaped fitness of the members that perturb a level, as `evolve` computes it."""
-    results = population.results
-    return rule.shape(results.fitness[level], population.signs[:, :, level], results.has_fallen.mean(axis=1))
 
 
 def bits(value):

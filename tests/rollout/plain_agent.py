@@ -43,12 +43,12 @@ def pay(name, left, before, moved, way):
     Since the goal was set the robot has `moved`; the goal was at `way` then. Both are vectors.
     """
     moved, way = complex(*moved), complex(*way)
-    lengths = abs(moved) * abs(way)
+    cosine = moved / (abs(moved) or 1) * (way / (abs(way) or 1)).conjugate()
     return {
         "progress": 1 - left / max(abs(way), 1e-3) + (1 if left < 1 else 0),
         "metres": 4 * (before - left) + (0.2 if left < 1 else 0),
         "negative_distance": -left,
-        "cosine": (moved.real * way.real + moved.imag * way.imag) / lengths if lengths else 0,
+        "cosine": cosine.real,
     }[name]
 
 
@@ -57,12 +57,13 @@ def push_outward(vector):
     return [math.copysign(max(abs(x), math.sqrt(0.5)), x or 1.0) for x in vector]
 
 
-def network(mlp, theta, inputs):
+def network(mlp, theta, inputs, activate=np.tanh):
     """Return the outputs of a network with `theta`, weights and biases layer by layer."""
     x, rest = np.asarray(inputs, float), np.asarray(theta, float)
     for fan_in, fan_out in zip(mlp.sizes, mlp.sizes[1:], strict=False):
         weights, biases, rest = np.split(rest, [fan_in * fan_out, (fan_in + 1) * fan_out])
-        x = np.tanh(x @ weights.reshape(fan_in, fan_out) + biases)
+        x = x @ weights.reshape(fan_in, fan_out) + biases
+        x = activate(x) if len(rest) else np.tanh(x)
     return x
 
 

@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from shes.rollout.episodes import wander
+from shes.agents.agent import AgentInputs
+from shes.rollout.episodes import empty_outcomes, wander
 
 EXPLORATION_STD = 0.01
 
@@ -37,8 +38,8 @@ def added(design, generation, seed, horizon, action_size):
 def play(design, make_batch, task, generation, table, horizon):
     """Play the episodes of `task` in a lane and an environment of their own, for at most `horizon` steps.
 
-    Returns the results of all R rows, those of rows without an episode at 0, and what was seen on the way: `states`
-    and `goals` (from where the robots are), each [T] of [R, ...], after the agent has decided and before the physics.
+    Returns the outcomes and moments of the episodes, and what was seen on the way: `states` and `goals` (from where the
+    robots are), each [T] of [R, ...], after the agent has decided and before the physics; and the states at the `ends`.
     """
     rows, slots = generation.rows_per_lane, list(task.slots)
     batch, agent = make_batch(rows), design.make(1, rows, shares_noise=generation.members_per_lane > 1)
@@ -63,17 +64,12 @@ def play(design, make_batch, task, generation, table, horizon):
     for slot, seed in zip(slots, task.seeds, strict=True):
         decision[slot], control[slot] = added(design, generation, seed, horizon, batch.action_size)
     is_running, steps, intrinsic = np.isin(np.arange(rows), slots), np.zeros(rows, int), np.zeros(rows)
-    found, seen = [None] * rows, SimpleNamespace(states=[], goals=[], ends=[None] * rows)
+    outcomes, moments = empty_outcomes(len(design.dims), rows), [sums_of(level.moments) for level in agent.levels]
+    seen = SimpleNamespace(states=[], goals=[], ends=[None] * rows)
     for step in range(horizon):
         noise = {"decision_noise": decision[None, :, step // interval]} if design.decision_size else {}
-        action = agent.act(
-            batch.observe(),
-            batch.position,
-            batch.heading,
-            goal=batch.goal,
-            control_noise=control[None, :, step],
-            **noise,
-        )
+        seen_now = batch.observe(), batch.position, batch.heading, batch.goal
+        action = agent.act(AgentInputs(*seen_now, control_noise=control[None, :, step], **noise))
         if hasattr(batch, "states"):
             seen.states.append(batch.states(np.arange(rows)))
             seen.goals.append(None if agent.goal is None else agent.goal - batch.position)
@@ -82,46 +78,34 @@ def play(design, make_batch, task, generation, table, horizon):
         intrinsic += agent.intrinsic_reward(batch.position) * ~batch.diverged * is_running
         for row in np.flatnonzero(is_running & (batch.terminated | batch.diverged | (steps == horizon))):
             is_running[row] = False
-            found[row] = _outcome(batch, agent, row, steps[row], intrinsic[row], horizon)
+            outcomes[row] = _outcome(batch, agent, row, steps[row], intrinsic[row], horizon)
+            for kept, level in zip(moments, agent.levels, strict=True):
+                kept[row] = sums_of(level.moments)[row]
             if hasattr(batch, "states"):
                 seen.ends[row] = batch.states(np.array([row]))[0]
         if not is_running.any():
             break
-    seen.found = [found[slot] for slot in slots]
+    seen.outcomes, seen.moments = outcomes[slots], [each[slots].tolist() for each in moments]
     return seen
 
 
+def sums_of(moments):
+    """Return the number, the sum and the sum of squares of the observations of each episode [K, 1 + 2 O]."""
+    return np.column_stack([moments.count, moments.total, moments.total_squares])
+
+
 def _outcome(batch, agent, row, steps, intrinsic, horizon):
-    """Return all quantities of the episode in `row`, which has just ended, by name."""
+    """Return all quantities of the episode in `row`, which has just ended, as a row of `empty_outcomes`."""
     paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), agent.design.level_names
-    return {
-        "returns": [intrinsic if name == "primitive" else paid for name in names],
-        "environment_returns": paid,
-        "score": batch.score[row],
-        "success": batch.success[row],
-        "steps": steps,
-        "has_terminated": batch.terminated[row] and not batch.diverged[row],
-        "has_fallen": batch.fallen[row] and not batch.diverged[row],
-        "has_diverged": batch.diverged[row],
-        "goals_reached": agent.goals_reached[row],
-        "final_position": batch.position[row].tolist(),
-        "moments": [(each.count[row], each.total[row].tobytes(), each.total_squares[row].tobytes())
-                    for each in (level.moments for level in agent.levels)],
-    }  # fmt: skip
-
-
-def of_results(results):
-    """Return the quantities of each episode of a rollout's results as the plain loop has them."""
-    episodes = []
-    for k, outcome in enumerate(results.outcomes):
-        own = {name: outcome[name].tolist() for name in results.outcomes.dtype.names}
-        if results.moments is not None:
-            own["moments"] = [(m.count[k], m.total[k].tobytes(), m.total_squares[k].tobytes()) for m in results.moments]
-        episodes.append(own)
-    return episodes
+    returns, is_sound = [intrinsic if name == "primitive" else paid for name in names], not batch.diverged[row]
+    ends = batch.terminated[row] and is_sound, batch.fallen[row] and is_sound, not is_sound
+    return (
+        *(returns, paid, batch.score[row], batch.success[row], steps),
+        *(*ends, agent.goals_reached[row], batch.position[row]),
+    )
 
 
 def assert_equal(results, played):
     """Check that the results of a task have the bits of the plain loop, with what is recorded of it."""
-    for mine, theirs in zip(of_results(results), played.found, strict=True):
-        assert mine == {name: value for name, value in theirs.items() if name in mine}
+    assert np.array_equal(results.outcomes, played.outcomes)
+    assert results.moments is None or [sums_of(each).tolist() for each in results.moments] == played.moments

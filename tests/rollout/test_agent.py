@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from shes.agents.agent import AgentInputs
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.runs.build import build_algorithm
@@ -22,7 +23,7 @@ def deciding(output, lanes=1, **options):
 
 def act(agent, position):
     position = np.broadcast_to(np.array(position, float), (agent.num_rows, 2)).copy()
-    agent.act(np.zeros((agent.num_rows, designs.OBSERVED)), position, np.zeros(agent.num_rows))
+    agent.act(AgentInputs(np.zeros((agent.num_rows, designs.OBSERVED)), position, np.zeros(agent.num_rows)))
     return agent.goal - position
 
 
@@ -39,13 +40,11 @@ def test_a_near_goal_is_pushed_outward_by_component(output, pushed):
     assert act(deciding(output, is_minimum=False), (3, 3))[0] == pytest.approx(4 * np.array(output), abs=1e-6)
 
 
-def test_a_robot_that_did_not_move_made_exactly_no_progress():
+def test_progress_is_exact_where_the_robot_stays():
+    """It is 0; and the whole with the bonus for a goal where the robot stands."""
     agent, position = deciding((0.3, 0.7), lanes=50), np.random.default_rng(0).normal(size=(50, 2)) * 10
     act(agent, position)
     assert agent.intrinsic_reward(position).tolist() == [0] * 50
-
-
-def test_a_goal_where_the_robot_stands_pays_the_bonus():
     agent = deciding((0, 0), is_minimum=False)
     act(agent, (5, 5))
     assert agent.intrinsic_reward(np.array([[5.0, 5.0]])).tolist() == [2]
@@ -75,7 +74,7 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
         for own, level in zip(agent.levels, levels, strict=True):
             own.theta[0] = level.theta
         agent.start(slice(None))
-        agent.act(observation, position, np.zeros(len(observation)))
+        agent.act(AgentInputs(observation, position, np.zeros(len(observation))))
         return agent.goal - position
 
     observation, angle = rng.uniform(0, 1, (6, 25)), np.pi / 5

@@ -1,24 +1,17 @@
-"""A population: what is drawn for its members, what their results add up to, and what these are worth to each level."""
+"""A population: what is drawn for its members, and what their results are worth to each level."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from shes.errors import PolicyError
 from shes.es.level import UpdateRule
-from shes.es.perturbation import PERTURBATIONS
-from shes.es.shaping import CentredRanks, PairRanks
-from shes.es.statistics import ObservationStatistics
-from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, Population, draw_episodes
-from shes.rollout.episodes import Generation
-from shes.rollout.roll_out import PopulationResults, lower_diverged
+from shes.es.perturbation import PERTURBATIONS, OneToManyHalves
+from shes.es.shaping import PairRanks
+from shes.evolution.estimates import COMMON_RANDOM_NUMBERS, draw_episodes
+from shes.rollout.roll_out import PopulationResults
 from tests.es.textbook import centred_ranks, group_signs
-from tests.rollout.formula import SETTINGS, formula_state, shaped_fitness
-from tests.rollout.made_up import SIZES, make_result, make_task
+from tests.rollout.formula import SETTINGS, formula_state
 
 # What is drawn --------------------------------------------------------------------------------------------------------
 
@@ -41,13 +34,6 @@ def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, s
 def numbers_of(key, draw):
     """Return what NumPy draws from the stream of seed 3, a purpose and a generation."""
     return draw(np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=key)))).tolist()
-
-
-def test_seeds_and_noise_are_what_they_have_always_been():
-    """Those of a member, before anything could be chosen."""
-    for common_random_numbers in COMMON_RANDOM_NUMBERS:
-        _, members = drawn(common_random_numbers=common_random_numbers)
-        assert members[0][:2] == ((955642397323993634, 2014679973056780978), (41949, 28591))
 
 
 @pytest.mark.parametrize("name", COMMON_RANDOM_NUMBERS)
@@ -82,49 +68,7 @@ def test_a_share_of_the_groups_is_recorded_as_a_whole(fraction):
     assert flags[160:240:4] == numbers_of((4, 2), lambda rng: rng.random(20) < fraction)
 
 
-# What results add up to -----------------------------------------------------------------------------------------------
-
-
-@given(episodes=st.integers(1, 6), cuts=st.sets(st.integers(1, 5)), member=st.integers(2, 3))
-def test_the_parts_of_a_task_are_the_task(episodes, cuts, member):
-    """Their results too, added to a population one by one; the second member records nothing."""
-    task = make_task(member, range(70, 70 + episodes), snapshot_steps=tuple(range(episodes)))
-    borders = [0, *sorted(cut for cut in cuts if cut < episodes), episodes]
-    parts = [task.part(*border) for border in pairwise(borders)]
-    for name in ("slots", "seeds", "snapshot_steps"):
-        assert sum((getattr(part, name) for part in parts), ()) == getattr(task, name), name
-    whole, results = make_result(task, log=("a",)), [make_result(part, log=("a",)) for part in parts]
-    populations = [PopulationResults.empty(2, 4, episodes) for _ in range(2)]
-    populations[0].add(task, whole)
-    for part, result in zip(parts, results, strict=True):
-        populations[1].add(part, result)
-    assert np.array_equal(populations[0].outcomes, populations[1].outcomes)
-    assert np.array_equal(populations[1].outcomes[member], whole.outcomes)
-    assert not populations[1].steps[:2].any()
-    assert populations[1].log == ["a"] * len(parts)
-    assert populations[1].seconds.tolist() == (len(parts) * whole.seconds).tolist()
-    assert len(populations[1].moments) == (2 if member == 2 else 0)
-    for mine, other in zip(*(each.moments for each in populations), strict=True):
-        assert [mine.total.tobytes(), mine.count.tolist()] == [other.total.tobytes(), other.count.tolist()]
-        assert mine.total_squares.tobytes() == other.total_squares.tobytes()
-
-
-def test_statistics_merge_what_was_recorded_and_nothing_else():
-    """Counts beyond 32 bits included; a result stays as it was."""
-    results, tasks = PopulationResults.empty(2, 6, 3), [make_task(m, [1, 2, 3]) for m in range(6)]
-    before = [ObservationStatistics.empty(size).merge(2, np.ones(size), np.ones(size)) for size in SIZES]
-    results.add(tasks[1], make_result(tasks[1]))
-    assert all(results.observed(i, each) is each for i, each in enumerate(before))
-    made = [make_result(task) for task in tasks[::2]]
-    for result in made:
-        result.moments[0].count[:] += 2**40
-    for task, result in zip(tasks[::2], made, strict=True):
-        results.add(task, result)
-    for i, each in enumerate(before):
-        after, recorded = results.observed(i, each), [result.moments[i] for result in made]
-        assert after.count == 2 + sum(int(m.count.sum()) for m in recorded)
-        assert after.total == pytest.approx(1 + sum(m.total.sum(axis=0) for m in recorded))
-        assert after.total_squares == pytest.approx(1 + sum(m.total_squares.sum(axis=0) for m in recorded))
+# What results are worth -----------------------------------------------------------------------------------------------
 
 
 def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
@@ -139,65 +83,24 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
         results.has_diverged[:] = has_diverged
         assert results.fitness.tolist() == [fitness, np.add(fitness, 100).tolist()]
         assert results.returns[0].tolist() == returns  # what is reported stays what it was
-    values = np.array([[1.0, 5.0], [3.0, 2.0]])
-    assert lower_diverged(values, np.zeros((2, 2), bool)) is values
 
 
-# What they are worth --------------------------------------------------------------------------------------------------
-
-
-def rolled_out(perturbation="many_to_many", generation=0, episodes=2, signs=None):
-    """Return a population with random returns, some of whose episodes fell; others terminated otherwise."""
-    if signs is None:
-        signs = PERTURBATIONS.find(perturbation)().signs(generation, 8, "quad", (True, True))
-    results, rng = PopulationResults.empty(signs.shape[2], 8, episodes), np.random.default_rng(3)
-    results.returns[:] = rng.normal(size=results.returns.shape)
-    results.has_fallen[:] = rng.random((8, episodes)) < 0.4
-    results.has_terminated[:3] = True
-    own = Generation(levels=(), sigma=0.1, episodes_per_policy=episodes, is_evaluation=False)
-    return Population(levels=(0, 1), signs=signs, noise_index=np.zeros((2, 1), int), tasks=[], generation=own,
-                      learning_rate=0.1, results=results)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("perturbation", "generation", "members"),
-    [("many_to_many", 0, (range(8), range(8))), ("one_to_many_halves", 0, (range(4), range(4, 8))),
-     ("one_to_many", 0, (range(8), ())), ("one_to_many", 1, ((), range(8)))],
-)  # fmt: skip
 @pytest.mark.parametrize("price", [0.0, 2.5])
-def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(perturbation, generation, members, price):
+def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(price):
     """A fall takes its price off, in the mean over these members nothing."""
-    population = rolled_out(perturbation, generation)
-    fitness = population.results.returns.mean(axis=2)
-    before, fallen = population.results.outcomes.tobytes(), population.results.has_fallen.mean(axis=1)
-    population.results.outcomes.flags.writeable = False
-    for level, own in enumerate(map(list, members)):
-        expected = np.array(centred_ranks(fitness[level, own].tolist(), "average") if own else [])
-        expected = expected - price * (fallen[own] - (fallen[own].mean() if own else 0))
-        assert shaped_fitness(population, level, UpdateRule(fall_price=price)) == pytest.approx(expected)
-    assert population.results.outcomes.tobytes() == before
-
-
-def test_every_level_has_its_own_shaping():
-    population = rolled_out()
-    fitness = population.results.returns.mean(axis=2)
-    fitness[0] = population.results.returns[0] = 1.0  # all tie: by index the later is better
-    first = shaped_fitness(population, 0, UpdateRule(shaping=CentredRanks(rank_ties="index")))
-    assert first == pytest.approx(np.linspace(-0.5, 0.5, len(first)))
-    second = shaped_fitness(population, 1, UpdateRule())
-    assert second == pytest.approx(centred_ranks(fitness[1].tolist(), "average"))
-    population.results.returns[1, 5, 0] = np.inf
-    with pytest.raises(PolicyError, match="member 5 is inf"):
-        shaped_fitness(population, 1, UpdateRule())
+    (fitness, fallen), rule = np.random.default_rng(3).random((2, 8)), UpdateRule(fall_price=price)
+    signs = OneToManyHalves().signs(0, 8, "quad", (True, True))
+    for level, own in enumerate(([0, 1, 2, 3], [4, 5, 6, 7])):
+        expected = np.array(centred_ranks(fitness[own].tolist(), "average"))
+        expected -= price * (fallen[own] - fallen[own].mean())
+        assert rule.shape(fitness, signs[:, :, level], fallen) == pytest.approx(expected)
 
 
 def test_the_price_of_a_fall_goes_past_ranks():
     """Where both of a pair fall it changes nothing; where all fall alike it changes no bit."""
-    population = rolled_out(signs=np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), episodes=1)
-    rule = UpdateRule(shaping=PairRanks())
-    population.results.has_fallen[:, 0] = [0, 1, 0, 0, 1, 1, 1, 0]
-    plain, priced = (shaped_fitness(population, 0, replace(rule, fall_price=price)) for price in (0.0, 15.0))
+    fitness, signs, rule = np.random.default_rng(3).random(8), np.tile([1, -1], (4, 1)), UpdateRule(shaping=PairRanks())
+    dear, fallen = replace(rule, fall_price=15.0), np.array([0, 1, 0, 0, 1, 1, 1, 0])
+    plain, priced = (each.shape(fitness, signs, fallen) for each in (rule, dear))
     assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
-    for share in (False, True):
-        population.results.has_fallen[:] = share
-        assert shaped_fitness(population, 0, replace(rule, fall_price=15.0)).tobytes() == plain.tobytes()
+    for share in (0.0, 1.0):
+        assert dear.shape(fitness, signs, np.full(8, share)).tobytes() == plain.tobytes()

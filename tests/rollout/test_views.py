@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.agents.views import ColumnsView, EgocentricView
+from shes.agents.views import ColumnsView
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, register_external
@@ -42,15 +42,10 @@ def view_of(body, qpos, qvel):
     return out
 
 
-@pytest.fixture(scope="module")
-def model():
+def test_every_value_of_the_ants_view_is_what_its_name_says():
     spec = empty_world("ant", "euler")
     Ant().add_to(spec)
-    return spec.compile()
-
-
-def test_every_value_of_the_ants_view_is_what_its_name_says(model):
-    qpos, qvel = tumbled()
+    (qpos, qvel), model = tumbled(), spec.compile()
     seen = view_of(Ant(), qpos, qvel)
     for row in range(ROWS):
         matrix = rotation(qpos[row, 3:7])
@@ -74,17 +69,7 @@ def test_every_value_of_the_ants_view_is_what_its_name_says(model):
         assert dict(zip(names, seen[row], strict=True)) == pytest.approx(expected, abs=1e-12)
 
 
-def test_mujocos_angular_velocity_is_the_torsos_own(model):
-    """So that it is egocentric as it is: a spin about the world's x axis, seen by a torso that looks along y."""
-    data, velocity = mujoco.MjData(model), np.zeros(6)
-    data.qpos[3:7] = [np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)]
-    data.qvel[3:6] = [0, -1, 0]
-    mujoco.mj_forward(model, data)
-    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, model.body("torso").id, velocity, 0)
-    assert velocity[:3] == pytest.approx([1, 0, 0], abs=1e-12)
-
-
-def test_points_see_their_velocity_and_an_upright_ant_its_heading():
+def test_points_see_velocities_and_an_upright_ant_its_heading():
     (flat, flat_v), (falling, falling_v) = (np.random.default_rng(3).normal(size=(2, 4, size)) for size in (2, 3))
     assert view_of(Point(), flat, flat_v).tolist() == flat_v.tolist()
     assert view_of(FallingPoint(), falling, falling_v).tolist() == np.hstack([falling[:, 2:], falling_v]).tolist()
@@ -94,27 +79,10 @@ def test_points_see_their_velocity_and_an_upright_ant_its_heading():
     qpos, angles = tumbled(2)[0], np.linspace(-3, 3, ROWS)  # an upright ant's frame is its heading
     qpos[:, 3:7] = np.stack([np.cos(angles / 2), 0 * angles, 0 * angles, np.sin(angles / 2)], axis=1)
     assert Ant().frame_angle(qpos) == pytest.approx(angles)
-    assert Ant().heading(qpos) == pytest.approx(angles)
     assert np.cos(Ant().frame_angle(-qpos) - angles) == pytest.approx(1)  # the other quaternion of the same pose
 
 
 # Views of observations ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("others", [(), (0, 1), (2, 0)], ids=["alone", "neighbours", "any order"])
-@pytest.mark.parametrize("places", [np.arange(29), np.random.default_rng(7).permutation(29)], ids=["in order", "not"])
-def test_an_egocentric_view_is_the_robots_then_the_others(others, places):
-    (qpos, qvel), observation = tumbled(6), np.random.default_rng(7).normal(size=(ROWS, 32))
-    observation[:, 3 + places] = np.hstack([qpos, qvel])
-    view, names = EgocentricView(Ant(), (3 + places).tolist(), others), [f"value {i}" for i in range(32)]
-    own = tuple(f"egocentric {each.name}" for each in Ant.egocentric)
-    assert view.names(names) == own + tuple(names[i] for i in others)
-    assert ColumnsView(others).names(names) == tuple(names[i] for i in others)
-    before, out = observation.copy(), np.zeros((ROWS, view.size(32)))
-    angle = view.write(observation, np.full(ROWS, 99.0), out)  # not the heading
-    assert angle.tolist() == Ant().frame_angle(qpos).tolist()
-    assert out.tolist() == np.hstack([view_of(Ant(), qpos, qvel), observation[:, list(others)]]).tolist()
-    assert np.array_equal(observation, before)
 
 
 def moving(config, rows):
@@ -138,9 +106,11 @@ def test_a_controllers_egocentric_view_has_all_else_behind(variant):
     assert len(others) > 0
     own = tuple(f"egocentric {each.name}" for each in robot.egocentric)
     assert view.names(task.observation_names) == own + tuple(task.observation_names[i] for i in others)
-    out = np.zeros((3, design.observation_sizes[0]))
-    view.write(observed, task.heading, out)
+    out, before = np.zeros((3, design.observation_sizes[0])), observed.copy()
+    angle = view.write(observed, np.full(3, 99.0), out)  # not the heading
+    assert np.array_equal(observed, before)
     qpos, qvel = np.split(observed[:, task.proprioception], [robot.num_qpos], axis=1)
+    assert angle.tolist() == robot.frame_angle(qpos).tolist()
     assert out.tolist() == np.hstack([view_of(robot, qpos, qvel), observed[:, others]]).tolist()
 
 

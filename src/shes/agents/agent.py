@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,23 @@ from shes.es.statistics import CLIP
 from shes.types import F32Array, F64Array, IntArray
 
 Design = TypeVar("Design", bound="AgentDesign")
+
+
+class AgentInputs(NamedTuple):
+    """What N agents, in P lanes of R episodes, act on in one step."""
+
+    observation: F64Array
+    """Observations of the task [N, O]."""
+    position: F64Array
+    """Positions of the robots [N, 2] in metres."""
+    heading: F64Array
+    """Yaw of the robots [N] in radians."""
+    goal: F64Array | None = None
+    """Goals set by the environment [N, 2] in metres, if it sets goals."""
+    decision_noise: F32Array | None = None
+    """Added to the outputs of the deciding level [P, R, decision_size]."""
+    control_noise: F32Array | None = None
+    """Added to the controls [P, R, A]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,11 +112,6 @@ class AgentDesign(ABC):
         """Number of inputs of each level."""
         return tuple(policy.sizes[0] for policy in self.policies)
 
-    @property
-    def clock_size(self) -> int:
-        """Number of clock features."""
-        return 0 if self.clock is None else self.clock.size
-
 
 class AgentBatch(ABC, Generic[Design]):
     """Agents in P lanes of R episodes each. Rows [N] are ordered by lane.
@@ -161,26 +173,8 @@ class AgentBatch(ABC, Generic[Design]):
         self.clock[lane] = steps
 
     @abstractmethod
-    def act(
-        self,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        *,
-        goal: F64Array | None = None,
-        decision_noise: F32Array | None = None,
-        control_noise: F32Array | None = None,
-    ) -> F32Array:
-        """Return the controls [N, A] of one step.
-
-        Args:
-            observation: Observations of the task [N, O].
-            position: Positions of the robots [N, 2] in metres.
-            heading: Yaw of the robots [N] in radians.
-            goal: Goals set by the environment [N, 2] in metres, if it sets goals.
-            decision_noise: Added to the outputs of the deciding level [P, R, decision_size].
-            control_noise: Added to the controls [P, R, A].
-        """
+    def act(self, inputs: AgentInputs) -> F32Array:
+        """Return the controls [N, A] of one step."""
 
     def intrinsic_reward(self, position: F64Array) -> F64Array:
         """Return the intrinsic reward [N] for moving to `position` [N, 2]; zeros without an intrinsic reward."""
@@ -202,23 +196,15 @@ class FlatAgent(AgentBatch["FlatDesign"]):
         """Allocate the inputs of the policies."""
         self._inputs: F64Array = self.xp.zeros((self.num_rows, self.design.observation_sizes[0]))
 
-    def act(
-        self,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        *,
-        goal: F64Array | None = None,
-        decision_noise: F32Array | None = None,
-        control_noise: F32Array | None = None,
-    ) -> F32Array:
-        """Return the controls [N, A] of one step; see `AgentBatch.act`."""
-        clock, size = self.design.clock, self.design.clock_size
+    def act(self, inputs: AgentInputs) -> F32Array:
+        """Return the controls [N, A] of one step."""
+        clock, size = self.design.clock, 0
         if clock is not None:
+            size = clock.size
             clock.write(self.xp.asarray(self.clock), self._inputs[:, :size])
-        self._inputs[:, size:] = observation
+        self._inputs[:, size:] = inputs.observation
         self.clock += 1
-        return self.levels[0].act(self._inputs, control_noise)
+        return self.levels[0].act(self._inputs, inputs.control_noise)
 
 
 @dataclass(frozen=True, kw_only=True)

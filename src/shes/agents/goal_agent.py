@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from shes.agents.agent import AgentBatch, AgentDesign
+from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
 from shes.agents.goals import ControllerOutput, GoalEncoding
 from shes.agents.mlp import MLP
 from shes.agents.rewards import REACHED_M, PrimitiveReward
@@ -121,11 +121,10 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))  # of the primitives
         clock_start = design.goal_encoding.size
-        view_start = clock_start + design.clock_size
-        self._goal_features, self._clock_features, self._seen = (
-            self._inputs[:, part]
-            for part in (slice(clock_start), slice(clock_start, view_start), slice(view_start, None))
-        )
+        view_start = clock_start + (0 if design.clock is None else design.clock.size)
+        self._goal_features = self._inputs[:, :clock_start]
+        self._clock_features = self._inputs[:, clock_start:view_start]
+        self._seen = self._inputs[:, view_start:]
         self._unturned = self._seen if self._frames is None else xp.zeros_like(self._seen)  # in the robots' own frames
         self._zero_angle: F64Array = xp.zeros(rows)
 
@@ -135,30 +134,21 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         if self.design.num_recorded_goals:
             self._recorded[lane], self._num_used[lane] = goals, 0
 
-    def act(
-        self,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        *,
-        goal: F64Array | None = None,
-        decision_noise: F32Array | None = None,
-        control_noise: F32Array | None = None,
-    ) -> F32Array:
-        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
-        design, frames = self.design, self._frames
-        angle = self._view.write(observation, heading, self._unturned)
+    def act(self, inputs: AgentInputs) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due."""
+        design, frames, position = self.design, self._frames, inputs.position
+        angle = self._view.write(inputs.observation, inputs.heading, self._unturned)
         is_due = self.clock % design.controller_interval == 0
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self.rows(due)
             if design.controller is not None:
-                new = position[rows] + self._decide(due, rows, observation[rows], heading[rows], decision_noise)
+                new = position[rows] + self._decide(due, rows, inputs)
             elif design.num_recorded_goals:
                 new = position[rows] + self._next_recorded(due)
             else:
-                assert goal is not None, "only an environment that sets goals trains a primitive alone"
-                new = goal[rows]
+                assert inputs.goal is not None, "only an environment that sets goals trains a primitive alone"
+                new = inputs.goal[rows]
             self._set_goals(rows, new, position[rows])
             if frames is not None:
                 frames.choose(rows, turned_back(self._way[rows], angle[rows]))
@@ -173,23 +163,15 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         if design.clock is not None:
             design.clock.write(self.xp.asarray(self.clock), self._clock_features)
         self.clock += 1
-        control = self.levels[-1].act(self._inputs, control_noise)
+        control = self.levels[-1].act(self._inputs, inputs.control_noise)
         return control if frames is None else frames.controls(control)
 
-    def _decide(
-        self,
-        due: slice | IntArray,
-        rows: slice | IntArray,
-        observation: F64Array,
-        heading: F64Array,
-        noise: F32Array | None,
-    ) -> F64Array:
+    def _decide(self, due: slice | IntArray, rows: slice | IntArray, inputs: AgentInputs) -> F64Array:
         """Return the vectors [rows, 2] to the goals that the controllers of lanes `due` set for episodes `rows`."""
-        own = self.design.controller
+        own, seen, heading = self.design.controller, self._controller_inputs[rows], inputs.heading[rows]
         assert own is not None
-        seen = self._controller_inputs[rows]
-        self._controller_view.write(observation, heading, seen)
-        output = self.levels[0].act(seen, noise, rows, due)
+        self._controller_view.write(inputs.observation[rows], heading, seen)
+        output = self.levels[0].act(seen, inputs.decision_noise, rows, due)
         vector = own.output.vector(output.astype(np.float64), heading, own.goal_distance)
         return _push_outward(vector) if own.has_minimum_goal_distance else vector
 

@@ -8,14 +8,13 @@ Source: SHES paper II-C; `forward` and `onehot_forward` of the authors' code.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from shes.agents.views import sector_directions
 from shes.errors import ConfigError
-from shes.options import make, subclass_of
+from shes.options import subclass_of
 from shes.registry import Registry
 from shes.types import F64Array
 
@@ -46,6 +45,16 @@ class ControllerOutput(ABC):
             goal_distance: Goal distance in metres for an output of 1.
         """
 
+    def check_result(self, name: str) -> None:
+        """Raise ConfigError unless this output, registered as `name`, returns vectors [N, 2]."""
+        # Three episodes instead of two, so that a transposed result [2, N] is detected.
+        shape = np.shape(self.vector(np.ones((3, self.size)), np.zeros(3), 1.0))
+        if shape != (3, 2):
+            raise ConfigError(
+                f"controller output {name!r} must return an array [N, 2], the vector from the robot to the goal in "
+                f"each of N episodes; for 3 episodes it returned shape {shape}, not (3, 2)."
+            )
+
     def of_direction(self, angles: F64Array) -> F64Array:
         """Return the outputs [K, size] for goals at the goal distance in directions `angles` [K] in radians.
 
@@ -68,19 +77,17 @@ class VectorOutput(ControllerOutput):
         return output.astype(np.float64) * goal_distance
 
 
-class HeadingVectorOutput(ControllerOutput):
+class HeadingVectorOutput(VectorOutput):
     """Vector to the goal relative to the heading (ahead, left), in goal distances.
 
     Deviation: the paper's controller outputs a vector in the world frame. If the task's observation is relative to the
     heading, as in Gather, the network then has to learn the rotation first.
     """
 
-    size = 2
-
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return `output` times the goal distance, rotated by the heading."""
-        ahead, left = (output[:, i].astype(np.float64) * goal_distance for i in range(2))
-        cosine, sine = np.cos(heading), np.sin(heading)
+        vector = super().vector(output, heading, goal_distance)
+        ahead, left, cosine, sine = vector[:, 0], vector[:, 1], np.cos(heading), np.sin(heading)
         return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
 
 
@@ -94,21 +101,13 @@ class DirectionOutput(VectorOutput):
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
-        return super().vector(_direction(output), heading, goal_distance)
+        values = output.astype(np.float64)
+        length = np.sqrt((values * values).sum(axis=1, keepdims=True))
+        return super().vector(values / np.maximum(length, 1e-9), heading, goal_distance)
 
 
-class HeadingDirectionOutput(HeadingVectorOutput):
+class HeadingDirectionOutput(HeadingVectorOutput, DirectionOutput):
     """Direction of the goal relative to the heading (ahead, left), at the goal distance; see `DirectionOutput`."""
-
-    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
-        """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
-        return super().vector(_direction(output), heading, goal_distance)
-
-
-def _direction(output: F64Array) -> F64Array:
-    """Return the outputs [N, 2] as vectors of length 1, or 0 for outputs of 0."""
-    values = output.astype(np.float64)
-    return values / np.maximum(np.sqrt((values * values).sum(axis=1, keepdims=True)), 1e-9)
 
 
 class OneHotOutput(ControllerOutput):
@@ -181,19 +180,6 @@ register_controller_output = CONTROLLER_OUTPUTS.register
 """Registers a class under a name in this process, for `shes.train(..., controller_output=name)`."""
 
 
-def make_controller_output(name: str, values: Mapping[str, Any]) -> ControllerOutput:
-    """Return the output called `name`, with options from `values`; raise ConfigError unless its result is [N, 2]."""
-    output = make(CONTROLLER_OUTPUTS, name, values)
-    # Three episodes instead of two, so that a transposed result [2, N] is detected.
-    shape = np.shape(output.vector(np.ones((3, output.size)), np.zeros(3), 1.0))
-    if shape != (3, 2):
-        raise ConfigError(
-            f"controller output {name!r} must return an array [N, 2], the vector from the robot to the goal in each of "
-            f"N episodes; for 3 episodes it returned shape {shape}, not (3, 2)."
-        )
-    return output
-
-
 class GoalEncoding(ABC):
     """Turns the vector to the goal into features, which precede the rest of the primitive's observation.
 
@@ -213,6 +199,16 @@ class GoalEncoding(ABC):
             heading: Yaw of the robot [N] in radians.
             out: Array for the features.
         """
+
+    def check_result(self, name: str) -> None:
+        """Raise ConfigError if this encoding, registered as `name`, leaves a feature out."""
+        features = np.full((2, self.size), np.nan)
+        self.encode(np.ones((2, 2)), np.full(2, np.sqrt(2)), np.zeros(2), features)
+        if not np.isfinite(features).all():
+            raise ConfigError(
+                f"goal encoding {name!r} must write a number for each of its {self.size} features into `out`; "
+                f"for the goal (1, 1) it left {features[0].tolist()}. Write them all, or change its `size`."
+            )
 
 
 class AngleEncoding(GoalEncoding):
@@ -286,16 +282,3 @@ GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
 """Goal encodings by name: the choices of `--goal-encoding`."""
 register_goal_encoding = GOAL_ENCODINGS.register
 """Registers a class under a name in this process, for `shes.train(..., goal_encoding=name)`."""
-
-
-def make_goal_encoding(name: str, values: Mapping[str, Any]) -> GoalEncoding:
-    """Return the encoding called `name`, with options from `values`; raise ConfigError if it leaves a feature out."""
-    encoding = make(GOAL_ENCODINGS, name, values)
-    features = np.full((2, encoding.size), np.nan)
-    encoding.encode(np.ones((2, 2)), np.full(2, np.sqrt(2)), np.zeros(2), features)
-    if not np.isfinite(features).all():
-        raise ConfigError(
-            f"goal encoding {name!r} must write a number for each of its {encoding.size} features into `out`; "
-            f"for the goal (1, 1) it left {features[0].tolist()}. Write them all, or change its `size`."
-        )
-    return encoding

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from shes.errors import ConfigError
-from shes.options import make, subclass_of
+from shes.options import subclass_of
 from shes.registry import Registry
 from shes.types import F64Array
 
@@ -40,6 +39,15 @@ class PrimitiveReward(ABC):
             displacement: Movement of the robot since the goal was set [N, 2], in metres.
             goal: Goal relative to the robot's position when it was set [N, 2], in metres.
         """
+
+    def check_result(self, name: str) -> None:
+        """Raise ConfigError unless this reward, registered as `name`, returns numbers [N]."""
+        shape = np.shape(self(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))
+        if shape != (2,):
+            raise ConfigError(
+                f"primitive reward {name!r} must return an array [N], one number for each of N episodes; "
+                f"for 2 episodes it returned shape {shape}, not (2,)."
+            )
 
 
 class ProgressReward(PrimitiveReward):
@@ -125,15 +133,3 @@ PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
 """Primitive rewards by name: the choices of `--primitive-reward`."""
 register_primitive_reward = PRIMITIVE_REWARDS.register
 """Registers a class under a name in this process, for `shes.train(..., primitive_reward=name)`."""
-
-
-def make_primitive_reward(name: str, values: Mapping[str, Any]) -> PrimitiveReward:
-    """Return the reward called `name`, with options from `values`; raise ConfigError unless its result is [N]."""
-    reward = make(PRIMITIVE_REWARDS, name, values)
-    shape = np.shape(reward(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))
-    if shape != (2,):
-        raise ConfigError(
-            f"primitive reward {name!r} must return an array [N], one number for each of N episodes; "
-            f"for 2 episodes it returned shape {shape}, not (2,)."
-        )
-    return reward

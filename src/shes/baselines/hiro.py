@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.agents.agent import AgentBatch, AgentDesign
+from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
 from shes.agents.mlp import MLP, RectifiedMLP
 from shes.agents.views import ColumnsView
 from shes.algorithms.problem import Problem
@@ -46,29 +46,20 @@ class HiroAgent(AgentBatch["HiroDesign"]):
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
         self._view = design.primitive_view.on(xp)
 
-    def act(
-        self,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        *,
-        goal: F64Array | None = None,
-        decision_noise: F32Array | None = None,
-        control_noise: F32Array | None = None,
-    ) -> F32Array:
-        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
-        design, size = self.design, self.design.decision_size
-        coordinates = design.coordinates(observation, position)
+    def act(self, inputs: AgentInputs) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due."""
+        design, size, observation = self.design, self.design.decision_size, inputs.observation
+        coordinates = design.coordinates(observation, inputs.position)
         is_due = self.clock % design.controller_interval == 0
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self.rows(due)
-            output = self.levels[CONTROLLER].act(observation[rows], decision_noise, rows, due)
+            output = self.levels[CONTROLLER].act(observation[rows], inputs.decision_noise, rows, due)
             self._target[rows] = coordinates[rows] + output * self._limit
         self.clock += 1
         self._inputs[:, :size] = self._target - coordinates
-        self._view.write(observation, heading, self._inputs[:, size:])
-        return self.levels[-1].act(self._inputs, control_noise)
+        self._view.write(observation, inputs.heading, self._inputs[:, size:])
+        return self.levels[-1].act(self._inputs, inputs.control_noise)
 
 
 @dataclass(frozen=True, kw_only=True)

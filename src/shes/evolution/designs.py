@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.equivariant import EquivariantMLP, sector_actions
 from shes.agents.goal_agent import Controller, GoalDesign
-from shes.agents.goals import SectorOutput, make_controller_output, make_goal_encoding
+from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, SectorOutput
 from shes.agents.mlp import MLP
-from shes.agents.rewards import make_primitive_reward
+from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, Proprioception, SectorsView, View, ViewChoice
 from shes.algorithms.contract import LevelTransfer
 from shes.algorithms.problem import Problem
@@ -25,6 +25,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.evolution.hyperparameters import explores, is_alone, is_branched
 from shes.evolution.state import TrainState
+from shes.options import make
 from shes.settings import flag
 
 
@@ -43,7 +44,7 @@ def goal_design(problem: Problem) -> GoalDesign:
     task, settings = problem.sample(), problem.settings
     hierarchy = settings.hierarchy
     task.check_position()
-    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
+    encoding, view = make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
     inputs = encoding.size + _clock_size(settings) + view.size(task.observation_size)
     return GoalDesign(
         controller=None if is_alone(settings) else _controller(settings, task),
@@ -51,7 +52,7 @@ def goal_design(problem: Problem) -> GoalDesign:
         primitive_view=view,
         symmetry=None if hierarchy.symmetry == "none" else _symmetry(settings, task),
         goal_encoding=encoding,
-        primitive_reward=make_primitive_reward(hierarchy.primitive_reward, settings.values),
+        primitive_reward=make(PRIMITIVE_REWARDS, hierarchy.primitive_reward, settings.values),
         controller_interval=hierarchy.controller_interval,
         **_acting(settings, task),
     )
@@ -69,14 +70,14 @@ def primitive_inputs(problem: Problem) -> tuple[str, ...]:
     """Return the name of each input of the primitive, in order."""
     task, settings = problem.sample(), problem.settings
     encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
-    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.values).size)]
+    features = [f"goal {encoding} {i}" for i in range(make(GOAL_ENCODINGS, encoding, settings.values).size)]
     clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
     return (*features, *clock, *_primitive_view(settings, task).names(task.observation_names))
 
 
 def _controller(settings: Any, task: EpisodeBatch) -> Controller:
     hierarchy, hidden, view = settings.hierarchy, settings.networks.hidden, _controller_view(settings, task)
-    output = make_controller_output(hierarchy.controller_output, settings.values)
+    output = make(CONTROLLER_OUTPUTS, hierarchy.controller_output, settings.values)
     if hierarchy.controller_network == "equivariant":
         assert isinstance(view, SectorsView), "check_together has seen to it"
         output = SectorOutput(view.num_sectors, output)

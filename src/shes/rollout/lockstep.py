@@ -11,14 +11,14 @@ waits for the device twice: to check that actions are finite, and to find the ep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from shes.agents.agent import AgentDesign
+from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import PolicyError
 from shes.es.level import perturb
@@ -26,8 +26,59 @@ from shes.es.noise import NoiseTable
 from shes.es.statistics import Moments
 from shes.rollout.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
 from shes.rollout.exploration import Exploration
-from shes.rollout.snapshots import SnapshotRecorder
 from shes.types import BoolArray, F32Array, F64Array, IntArray, to_host
+
+
+class SnapshotRecorder:
+    """Records states and goals of the episodes of a rollout while they run."""
+
+    def __init__(self, batch: EpisodeBatch, agent: AgentBatch[Any], num_goals: int) -> None:
+        """Record states of `batch` and, from then on, `num_goals` goals of `agent`."""
+        self._batch, self._agent, self._num_goals = batch, agent, num_goals
+        self._interval = agent.design.controller_interval
+        rows = batch.num_episodes
+        self._wanted: IntArray = np.full(rows, -1)  # steps after which to record each row; -1 for never
+        self._recorded: IntArray = np.zeros(rows, dtype=np.int64)  # goals recorded so far
+        self._goals: F64Array = np.zeros((rows, num_goals, 2))
+        self._states: dict[int, F64Array] = {}
+
+    def begin(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
+        """Store when to record the episodes of tasks that have `started`, by lane."""
+        for lane, (_, task) in started.items():
+            wanted = task.snapshot_steps or (-1,) * len(task.slots)
+            for slot, steps in zip(task.slots, wanted, strict=True):
+                row = lane * self._agent.rows_per_lane + slot
+                self._wanted[row], self._recorded[row] = steps, 0
+
+    def take(self, is_running: BoolArray, steps: IntArray) -> None:
+        """Record the states and goals that are due, after the agents have decided and before the physics step.
+
+        `steps` [N] are the control steps of each row so far.
+        """
+        due = np.flatnonzero(is_running & (steps == self._wanted + self._recorded * self._interval))
+        due = due[self._recorded[due] < self._num_goals]
+        if not len(due):
+            return
+        first = due[self._recorded[due] == 0]
+        if len(first):
+            self._states.update(zip(first.tolist(), self._batch.states(first), strict=True))
+        ids, goal = self._batch.xp.asarray(due), self._agent.goal
+        assert goal is not None, "only an agent with goals leaves snapshots"
+        self._goals[due, self._recorded[due]] = to_host(goal[ids] - self._batch.position[ids])
+        self._recorded[due] += 1
+
+    def of(self, row: int) -> Snapshot | None:
+        """Return the snapshot of the episode in `row`, which has ended; None if it ended before the snapshot was due.
+
+        Goals after the end of the episode are copies of its last goal.
+        """
+        if row not in self._states:
+            return None
+        seen = int(self._recorded[row])
+        goals = self._goals[row].copy()
+        goals[seen:] = goals[seen - 1]
+        return Snapshot(state=self._states.pop(row), steps=int(self._wanted[row]), goals=goals)
+
 
 NumberedTask = tuple[int, EpisodeTask]
 """A task with its number."""
@@ -61,10 +112,9 @@ class Rollout:
         `make_batch` returns the environment for a number of episodes N = P * R. The episodes of a lane belong to
         `members_per_lane` members, which share their noise.
         """
-        self.num_lanes, self.rows_per_lane, self.members_per_lane = num_lanes, rows_per_lane, members_per_lane
         self.shape = num_lanes, rows_per_lane, members_per_lane
-        self.horizon = horizon
-        self.design = design
+        self.num_lanes, self.rows_per_lane, self.members_per_lane = self.shape
+        self.horizon, self.design = horizon, design
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
         self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
@@ -165,7 +215,7 @@ class Rollout:
         start, physics_s = perf_counter(), batch.physics_s
         seen = (batch.observe(), batch.position, batch.heading)
         observed = perf_counter()
-        action = agent.act(*seen, goal=batch.goal, **self._exploration.of_step())
+        action = agent.act(AgentInputs(*seen, batch.goal, **self._exploration.of_step()))
         if not np.isfinite(action).all():
             self._refuse(action)
         if self._recorder is not None:

@@ -28,7 +28,9 @@ _LANE_COST = 0.05  # of a part, in episodes per episode of the whole task: its m
 def roll_out_tasks(tasks: Sequence[EpisodeTask], generation: Generation, backend: Backend) -> PopulationResults:
     """Return the results of `tasks`, which share `generation`, computed by the workers of `backend`."""
     backend.broadcast(generation)
-    results = PopulationResults.of_tasks(tasks, generation)
+    episodes = generation.episodes_per_policy
+    members = 1 + max(task.member + max(task.slots) // episodes for task in tasks)
+    results = PopulationResults.empty(len(generation.levels), members, episodes)
     parts = divide(tasks, backend.num_workers)
     for part, result in zip(parts, backend.map(parts), strict=True):
         results.add(part, result)
@@ -49,13 +51,8 @@ def divide(tasks: Sequence[EpisodeTask], num_workers: int) -> Sequence[EpisodeTa
     count = min(range(1, size + 1), key=longest_share, default=1)
     if count == 1:
         return tasks
-    return [part for task in tasks for part in _parts(task, count)]
-
-
-def _parts(task: EpisodeTask, count: int) -> list[EpisodeTask]:
-    size = len(task.slots)
-    cuts = [i * size // count for i in range(count + 1)]
-    return [task.part(*cut) for cut in pairwise(cuts) if cut[0] < cut[1]]
+    borders = ((task, [i * len(task.slots) // count for i in range(count + 1)]) for task in tasks)
+    return [task.part(*cut) for task, cuts in borders for cut in pairwise(cuts) if cut[0] < cut[1]]
 
 
 def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
@@ -83,12 +80,6 @@ class PopulationResults(ByEpisode):
     def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
         """Return empty results, to be filled by `add`."""
         return cls(outcomes=empty_outcomes(num_levels, members, episodes))
-
-    @classmethod
-    def of_tasks(cls, tasks: Sequence[EpisodeTask], generation: Generation) -> PopulationResults:
-        """Return empty results for all of `tasks`."""
-        members = 1 + max(task.member + max(task.slots) // generation.episodes_per_policy for task in tasks)
-        return cls.empty(len(generation.levels), members, generation.episodes_per_policy)
 
     @property
     def fitness(self) -> F64Array:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from shes.agents.agent import AgentInputs
 from shes.agents.goal_agent import Frames
 from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError, PolicyError, ShapeError
@@ -143,7 +144,7 @@ class Agent:
             heading: Yaw of the robots [num_envs] in radians.
             goal: Goals set by the environment [num_envs, 2] in metres, if it sets goals.
         """
-        return self._agent.act(rows, position, heading, goal=goal).astype(np.float64)
+        return self._agent.act(AgentInputs(rows, position, heading, goal)).astype(np.float64)
 
 
 def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Agent:
