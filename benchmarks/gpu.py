@@ -151,6 +151,21 @@ def check(device: str, size: Size, out: Path) -> None:
 # Stage `speed`.
 
 
+def synchronize(device: WarpDevice) -> None:
+    """Wait until all issued work is done."""
+    if device.xp is not np:
+        device.xp.cuda.get_current_stream().synchronize()
+
+
+def free_bytes(device: WarpDevice) -> int | None:
+    """Return the free memory of the GPU in bytes; None on the CPU."""
+    if device.xp is np:
+        return None
+    device.release_memory()
+    synchronize(device)  # Warp's pool releases unused memory at a synchronisation
+    return int(device.xp.cuda.runtime.memGetInfo()[0])
+
+
 def physics_alone(device: str, size: Size, out: Path) -> None:
     """Measure the physics alone, with random controls, for every number of worlds."""
     table = Table(out / "worlds.csv")
@@ -163,11 +178,11 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
         controls = np.random.default_rng(0).uniform(-30, 30, (worlds, task.action_size)).astype(np.float32)
         task.sim.ctrl[:] = task.xp.asarray(controls)
         task.sim.step(ids, FRAME_SKIP)  # compiles, captures
-        opened.synchronize()
+        synchronize(opened)
         start = perf_counter()
         for _ in range(size.world_steps):
             task.sim.step(ids, FRAME_SKIP)
-        opened.synchronize()
+        synchronize(opened)
         seconds = (perf_counter() - start) / size.world_steps
         task.check_buffers()
         contacts, constraints = task.sim.peaks()
@@ -178,7 +193,7 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
             env_steps_per_s=worlds / seconds,
             contacts=contacts,
             constraints=constraints,
-            free_bytes=opened.free_bytes(),
+            free_bytes=free_bytes(opened),
         )
         del task
 
@@ -226,7 +241,7 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
                 "env_steps_per_s": steps / (report.rollout_s + report.update_s),
                 "policy_and_task_share": (policy_s + task_s) / (report.rollout_s + report.update_s),
                 "weights_mb": 4e-6 * sum(learner.design.dims) * config.evolution.population_size,
-                "free_bytes": opened.free_bytes(),
+                "free_bytes": free_bytes(opened),
             }
 
 
@@ -247,10 +262,10 @@ def bandwidth(device: str, size: Size, out: Path) -> None:
 
 def _seconds(opened: WarpDevice, work: Callable[[], Any]) -> float:
     work()
-    opened.synchronize()
+    synchronize(opened)
     start = perf_counter()
     work()
-    opened.synchronize()
+    synchronize(opened)
     return perf_counter() - start
 
 

@@ -52,12 +52,9 @@ def actor_gradient(layers, kept, of_action, half_range):
     return gradients
 
 
-def target(batch, target_actor, target_critics, half_range, unit, discount):
-    """Return r + discount * min(Q1', Q2') at the target actor's action with clipped noise."""
-    noise = np.clip(batch["noise"] * 0.2 * unit, -0.5 * unit, 0.5 * unit)
-    action = np.clip(actor(target_actor, batch["next_inputs"], half_range)[0] + noise, -half_range, half_range)
-    values = [critic(layers, batch["next_inputs"], action)[0] for layers in target_critics]
-    return batch["reward"] + discount * batch["goes_on"] * np.minimum(*values)
+def mixed(function, *networks):
+    """Return a network whose arrays are `function` of the arrays of others."""
+    return tuple(tuple(map(function, *layers)) for layers in zip(*networks, strict=True))
 
 
 class Adam:
@@ -65,21 +62,17 @@ class Adam:
 
     def __init__(self, layers, learning_rate):
         self.rate, self.steps = learning_rate, 0
-        self.moments = [[(np.zeros_like(p), np.zeros_like(p)) for p in layer] for layer in layers]
+        self.means = self.squares = mixed(np.zeros_like, layers)
 
     def step(self, layers, gradients):
         self.steps += 1
-        stepped = []
-        for i, (layer, gradient) in enumerate(zip(layers, gradients, strict=True)):
-            new = []
-            for j, (p, g) in enumerate(zip(layer, gradient, strict=True)):
-                mean, square = self.moments[i][j]
-                mean, square = 0.9 * mean + 0.1 * g, 0.999 * square + 0.001 * g * g
-                self.moments[i][j] = mean, square
-                unbiased = mean / (1 - 0.9**self.steps), square / (1 - 0.999**self.steps)
-                new.append(p - self.rate * unbiased[0] / (np.sqrt(unbiased[1]) + 1e-8))
-            stepped.append(tuple(new))
-        return stepped
+        self.means = mixed(lambda mean, g: 0.9 * mean + 0.1 * g, self.means, gradients)
+        self.squares = mixed(lambda square, g: 0.999 * square + 0.001 * g * g, self.squares, gradients)
+        unbiased = 1 - 0.9**self.steps, 1 - 0.999**self.steps
+        return mixed(
+            lambda p, mean, square: p - self.rate * mean / unbiased[0] / (np.sqrt(square / unbiased[1]) + 1e-8),
+            *(layers, self.means, self.squares),
+        )
 
 
 class TD3:
@@ -94,10 +87,18 @@ class TD3:
         self.critic_adams = [Adam(layers, own.critic_learning_rate) for layers in critics]
         self.updates = 0
 
+    def target(self, batch):
+        """Return r + discount * min(Q1', Q2') at the target actor's action with clipped noise."""
+        noise = np.clip(batch["noise"] * 0.2 * self.unit, -0.5 * self.unit, 0.5 * self.unit)
+        action = actor(self.target_actor, batch["next_inputs"], self.half_range)[0] + noise
+        action = np.clip(action, -self.half_range, self.half_range)
+        values = [critic(layers, batch["next_inputs"], action)[0] for layers in self.target_critics]
+        return batch["reward"] + self.own.discount * batch["goes_on"] * np.minimum(*values)
+
     def update(self, batch):
         """Make an update; return the losses of critics and actor (NaN without one) and the mean target."""
         own, half_range, count, loss = self.own, self.half_range, len(batch["reward"]), 0.0
-        aim = target(batch, self.target_actor, self.target_critics, half_range, self.unit, own.discount)
+        aim = self.target(batch)
         for i, layers in enumerate(self.critics):
             values, seen = critic(layers, batch["inputs"], batch["action"])
             error = values - aim
@@ -113,12 +114,8 @@ class TD3:
         values, seen = critic(self.critics[0], batch["inputs"], action)
         _, of_action = critic_gradient(self.critics[0], seen, np.full(count, -1 / count), len(half_range))
         self.actor = self.adam.step(self.actor, actor_gradient(self.actor, kept, of_action, half_range))
-        self.target_actor = self._moved(self.target_actor, self.actor)
-        self.target_critics = [self._moved(*pair) for pair in zip(self.target_critics, self.critics, strict=True)]
+        pairs = zip([self.target_actor, *self.target_critics], [self.actor, *self.critics], strict=True)
+        self.target_actor, *self.target_critics = (
+            mixed(lambda a, b: a + own.target_rate * (b - a), *pair) for pair in pairs
+        )
         return loss, -values.mean(), aim.mean()
-
-    def _moved(self, old, new):
-        rate = self.own.target_rate
-        return [
-            tuple(a + rate * (b - a) for a, b in zip(*layers, strict=True)) for layers in zip(old, new, strict=True)
-        ]

@@ -11,7 +11,7 @@ import pytest
 
 import shes
 from shes.baselines.collector import Actor
-from shes.baselines.learner_settings import HIRO_SECTIONS
+from shes.baselines.hiro import HIRO
 from shes.baselines.td3 import LEARNING, TD3State
 from shes.cli import main
 from shes.envs.markers import GOAL
@@ -42,7 +42,6 @@ TINY = {
     "replay_size": 100,
 }
 needs_jax = pytest.mark.hiro
-over_algorithms = pytest.mark.parametrize("name", ["hiro", "td3"])
 
 
 def build(name="hiro", env="point-gather", **settings):
@@ -78,32 +77,24 @@ def untrained(tmp_path):
 # Settings and errors.
 
 
-def due(level):
-    """Return what counts the updates of a level in 60 steps, by call."""
-    return lambda a: [count for name, count in a.updates_due(0, 60) if name == level]
-
-
 SEEN = {
     # setting: (value, what reads it, what that finds)
     "hidden": ((9, 8), lambda a: [level.actor.sizes[1:-1] for level in a.levels], [(9, 8)] * 2),
     "replay_size": (777, lambda a: [level.replay.capacity for level in a.levels], [777, 777]),
-    "exploration_noise": (0.5, lambda a: a.levels[1].exploration_std.tolist(), [0.5, 0.5]),
-    "goal_noise": (0.5, lambda a: a.levels[0].exploration_std.tolist(), [5.0, 5.0]),
-    "normalise_inputs": (False, lambda a: (a.design.input_clip, a.settings.input_clip), (np.inf, np.inf)),
     "warmup_steps": (90_000, lambda a: a.levels[0].replay.slack, 90_020),
     "generation_steps": (80_000, lambda a: (a.levels[0].replay.slack, a.steps_per_generation(a.problem.settings)),
                          (80_020, 80_000)),
-    "update_interval": (20, due("primitive"), [20, 20, 20]),
-    "controller_update_interval": (30, due("controller"), [1, 1]),
-    "controller_interval": (4, lambda a: a.design.controller_interval, 4),
+    "update_interval": (20, lambda a: list(a.updates_due(50, 60)), [("primitive", 20), ("controller", 1)]),
+    "controller_update_interval": (30, lambda a: list(a.updates_due(40, 50)), [("primitive", 10)]),
     "goal_distance": (3.0, lambda a: a.design.half_range, (3.0, 3.0)),
 }  # fmt: skip
-"""Settings that fix levels, agents and the number of updates."""
-IN_LEARNING = {
+"""Settings that fix levels and the number of updates."""
+ELSEWHERE = {
     *("actor_learning_rate", "critic_learning_rate", "discount", "batch_size", "target_rate", "policy_delay"),
-    "noise_unit",
+    *("noise_unit", "normalise_inputs", "exploration_noise", "goal_noise", "controller_interval"),
+    *("reward_scale", "bootstrap_terminal", "num_envs"),
 }
-IN_COLLECTOR = {"reward_scale", "bootstrap_terminal", "num_envs"}
+"""Settings that tests of the learning and the experience vary."""
 
 
 @pytest.mark.parametrize("name", SEEN)
@@ -113,9 +104,8 @@ def test_a_setting_arrives_where_it_is_used(name):
 
 
 def test_every_setting_has_a_test():
-    """Those of learning and experience are varied in test_learning.py and test_collector.py."""
-    settings = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}
-    assert settings == SEEN.keys() | IN_LEARNING | IN_COLLECTOR
+    settings = {name for section in HIRO.sections.values() for name in setting_fields(section)}
+    assert settings == SEEN.keys() | ELSEWHERE
 
 
 REFUSED = {
@@ -126,7 +116,6 @@ REFUSED = {
     ("hiro", "ant-push"): ({"max_tilt": 60.0}, r"max_tilt ends episodes of ant-push that .*Omit --max-tilt"),
     ("td3", "point-push"): ({"batch_size": 101}, r"batch_size is 101, more than the 100 transitions of replay_size"),
     ("hiro", "point-maze"): ({"controller_interval": 21}, "controller_interval is 21, but episodes have 20 steps"),
-    ("hiro", "point-push"): ({"num_envs": 61}, "num_envs is 61, but a generation has 60 environment steps"),
     ("td3", "point-fall"): ({"device": "warp-cpu"}, "device is 'warp-cpu', but td3 collects its experience on the CPU"),
     ("hiro", "point-gather"): ({"replay_size": 10**12}, r"replay_size is 1,000,000,000,000: .* Set --replay-size, "),
 }
@@ -139,13 +128,11 @@ def test_what_cannot_be_served_is_refused(name, env):
         build(name, env, **settings).start(0)
 
 
-@over_algorithms
-def test_without_jax_the_error_names_the_extra(tmp_path, monkeypatch, name):
+def test_without_jax_the_error_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
     monkeypatch.delitem(sys.modules, LEARNING, raising=False)
-    message = rf"--algorithm {name} needs JAX and Optax .* pip install 'shes\[hiro\]'"
-    with pytest.raises(MissingExtraError, match=message):
-        train(tmp_path / "run", name)
+    with pytest.raises(MissingExtraError, match=r"--algorithm td3 needs JAX and Optax .* pip install 'shes\[hiro\]'"):
+        train(tmp_path / "run", "td3")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -159,7 +146,6 @@ def test_a_level_of_hiro_is_not_transferred(untrained):
     ("change", "fault"),
     [
         ({"policy/actor": np.zeros(3, np.float32)}, r"policy/actor is float32 of shape \(3,\)"),
-        ({"policy/observation_count": np.array(1.5)}, r"policy/observation_count is float64"),
         ({"policy/replay/older/reward": np.zeros((2, 2), np.float32)}, "of a replay buffer is float32 of shape"),
     ],
 )
@@ -217,11 +203,18 @@ def test_a_constant_controller_changes_x_and_y_alone(untrained):
     assert shes.evaluate(path, episodes=2, controller="constant").controller.startswith("constant: ")
 
 
-@pytest.mark.parametrize("env", ["point-push", "ant-gather"])
-def test_an_agent_acts_as_in_training_without_noise(untrained, env):
-    """The agent holds a goal as a place, the collector moves it by the goal transition: one policy."""
-    noise = {"exploration_noise": 0.0, "goal_noise": 0.0}
-    path = untrained("hiro", env, controller_interval=3, normalise_inputs=False, **noise)
+@pytest.mark.parametrize(
+    ("name", "env", "settings"),
+    [
+        ("hiro", "point-push", {"controller_interval": 3}),
+        ("hiro", "ant-gather", {"controller_interval": 3}),
+        ("td3", "point-gather", {}),
+    ],
+)
+def test_an_agent_acts_as_in_training_without_noise(untrained, name, env, settings):
+    """Transitions are those of a plain loop. An agent holds a goal as a place, the collector as what is left of it."""
+    noise = {"exploration_noise": 0.0, **({"goal_noise": 0.0} if name == "hiro" else {})}
+    path = untrained(name, env, normalise_inputs=False, **noise, **settings)
     learner, agent = build_algorithm(RunFolder(path).read_config()), shes.load(path)
     state = learner.from_arrays(RunFolder(path).load("last").arrays)
     actors = [Actor(level) for level in learner.levels]
@@ -230,22 +223,30 @@ def test_an_agent_acts_as_in_training_without_noise(untrained, env):
     batch = learner.problem.env.make(1, learner.problem.training)
     collector = learner.collector(batch, learner.design, actors, learner.problem.horizon, learner.settings)
     blocks = collector.run(1, itertools.count(7), np.random.default_rng(0))
-    played = [block["primitive"]["action"][0] for block in blocks]
-    task, one = learner.problem.env.make(1, learner.problem.training), np.array([0])
+    played = [{key: rows[0] for key, rows in block[learner.level_names[-1]].items()} for block in blocks]
+    task, one, earned = learner.problem.env.make(1, learner.problem.training), np.array([0]), 0.0
     task.reset(one, [7])
-    for expected in played:
-        action = agent.act(task.observe()[0]).astype(float) * task.control_limit
-        np.testing.assert_allclose(action, expected, atol=1e-4 * task.control_limit)
+    for step in played:
+        seen = task.observe()[0].copy()
+        action = agent.act(seen).astype(float) * task.control_limit
+        np.testing.assert_allclose(step["action"], action, atol=1e-4 * task.control_limit)
         task.step(one, action[None])
+        earned += task.reward[0]
+        if name == "td3":
+            np.testing.assert_allclose(step["inputs"], seen, rtol=1e-4, atol=1e-5)
+            np.testing.assert_allclose(step["next_inputs"], task.observe()[0], rtol=1e-4, atol=1e-5)
+            assert step["reward"] == pytest.approx(task.reward[0], rel=1e-4)
+        assert step["goes_on"] == 1  # the time limit cuts nothing
+    assert collector.episodes[0][f"{learner.level_names[0]}_return"] == pytest.approx(earned, rel=1e-4)
     assert len(played) == 20
-    assert np.ptp(played, axis=0).min() > 0.01
+    assert np.ptp([step["action"] for step in played], axis=0).min() > 0.01
 
 
 # Learning.
 
 
 @needs_jax
-@over_algorithms
+@pytest.mark.parametrize("name", ["hiro", "td3"])
 def test_a_resumed_run_has_the_numbers_of_one_that_never_stopped(tmp_path, name):
     """With a buffer that is full, and wraps around the end of its memory."""
     pytest.importorskip("jax")
@@ -258,54 +259,41 @@ def test_a_resumed_run_has_the_numbers_of_one_that_never_stopped(tmp_path, name)
     replay = runs.state(whole).learners[-1].replay
     assert (replay.size, replay.end) == (100, 360)
     assert all(level.mean.any() for level in build(name).parameters(runs.state(whole)))  # inputs are normalised
-
-
-@needs_jax
-def test_the_buffer_is_in_the_last_checkpoint_alone(tmp_path):
-    """It is filled anew by a run that goes on from another one."""
-    pytest.importorskip("jax")
-    path = train(tmp_path / "run")
-    sizes = {name: runs.state(path, name).learners[-1].replay.size for name in ("last", "best", "2")}
-    assert sizes == {"last": 100, "best": 0, "2": 0}
-    shutil.copy(path / "checkpoints" / "generation_000002.npz", path / "checkpoints" / "last.npz")
-    before = runs.state(path).learners[-1].learner["num_updates"]
-    shes.resume(path, generations=5)
-    after = runs.state(path).learners[-1]
-    assert after.replay.size == 100
-    assert after.learner["num_updates"] > before
-
-
-SETTINGS_OF_JAX = ["JAX_ENABLE_X64=1", "JAX_NUMPY_RANK_PROMOTION=raise", "JAX_PLATFORMS=nonsense"]
+    # The buffer is in the last checkpoint alone; a run that goes on from another one fills it anew.
+    assert [runs.state(whole, name).learners[-1].replay.size for name in ("best", "4")] == [0, 0]
+    shutil.copy(whole / "checkpoints" / "generation_000004.npz", whole / "checkpoints" / "last.npz")
+    before = runs.state(whole).learners[-1].learner["num_updates"]
+    shes.resume(whole, generations=7)
+    after = runs.state(whole).learners[-1]
+    assert (after.replay.size, after.learner["num_updates"] > before) == (100, True)
 
 
 @needs_jax
 def test_settings_of_jax_elsewhere_change_nothing(tmp_path):
-    """Those of a script that uses JAX for something else; a device that is not there is an error with its fix."""
+    """A script may use JAX for something else; a device that is not there is an error with its fix."""
     pytest.importorskip("jax")
-    expected, words = train(tmp_path / "run", generations=3), runs.flags(**TINY, algorithm="hiro", num_workers=1)
-    for setting in SETTINGS_OF_JAX:
-        name, value = setting.split("=")
-        command = [*runs.COMMAND, "train", "point-gather", *words, "--out", str(tmp_path / name)]
-        command[command.index("--generations") + 1] = "3"
-        environment = {**os.environ, name: value}
-        done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
-        if value == "nonsense":
-            assert (done.returncode, "Traceback" in done.stderr) == (2, False)
-            assert "Unset JAX_PLATFORMS" in done.stderr
-        else:
-            assert done.returncode == 0, done.stderr
-            assert runs.differences(expected, tmp_path / name) == []
+    settings = {**TINY, "generations": 3, "algorithm": "hiro", "num_workers": 1}
+    command = [*runs.COMMAND, "train", "point-gather", *runs.flags(**settings), "--out", str(tmp_path / "other")]
+
+    def done(**environment):
+        return subprocess.run(command, check=False, env={**os.environ, **environment}, capture_output=True, text=True)
+
+    refused = done(JAX_PLATFORMS="nonsense")
+    assert (refused.returncode, "Traceback" in refused.stderr) == (2, False)
+    assert "Unset JAX_PLATFORMS" in refused.stderr
+    trained = done(JAX_ENABLE_X64="1", JAX_NUMPY_RANK_PROMOTION="raise")
+    assert trained.returncode == 0, trained.stderr
+    assert runs.differences(train(tmp_path / "run", generations=3), tmp_path / "other") == []
 
 
 @needs_jax
-@pytest.mark.parametrize("num_envs", [1, 4])
-def test_each_step_after_the_warm_up_has_its_update(tmp_path, num_envs):
-    """Episodes have 20 steps: the warm-up of 130 ends after 140 or 160."""
+def test_each_step_after_the_warm_up_has_its_update(tmp_path):
+    """Four episodes of 20 steps at a time: the warm-up of 130 ends after 160."""
     pytest.importorskip("jax")
     settings = {"warmup_steps": 130, "generation_steps": 70, "update_interval": 5, "controller_update_interval": 10}
-    table = read_csv(train(tmp_path / "run", generations=3, num_envs=num_envs, **settings) / "progress.csv")
+    table = read_csv(train(tmp_path / "run", generations=3, num_envs=4, **settings) / "progress.csv")
     steps = np.array(table["env_steps"])
-    assert steps.tolist() == {1: [140, 220, 300], 4: [160, 240, 320]}[num_envs]
+    assert steps.tolist() == [160, 240, 320]
     assert table["primitive_updates"] == (steps - steps[0]).tolist()
     assert table["controller_updates"] == ((steps - steps[0]) // 10).tolist()
 

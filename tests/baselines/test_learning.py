@@ -7,18 +7,11 @@ import pytest
 
 pytest.importorskip("jax")
 
+import jax
 
 from shes.agents.mlp import RectifiedMLP, normalise
 from shes.baselines.learner_settings import LearnerSettings
-from shes.baselines.learning import (
-    LOSSES,
-    ControllerLearner,
-    LevelLearner,
-    act,
-    candidates,
-    compiled_update,
-    correction_errors,
-)
+from shes.baselines.learning import LOSSES, ControllerLearner, LevelLearner, candidates, compiled_update
 from shes.baselines.levels import Level, Replay, flat
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
@@ -51,16 +44,12 @@ def level_of(own=OWN, hidden=(7, 6)):
     )
 
 
-def mapped(function, network):
-    return tuple(tuple(function(array) for array in layer) for layer in network)
-
-
 def started(level, seed=0):
     """Return a state whose outputs are not all nearly zero, as those of the initial one are."""
     rng, state = np.random.default_rng(seed), level.start(np.random.default_rng(seed))
     learner = dict(state.learner)
     for name in ("actor", "critics"):
-        learner[name] = mapped(lambda p: p + rng.normal(0, 0.2, p.shape).astype(np.float32), learner[name])
+        learner[name] = reference.mixed(lambda p: p + rng.normal(0, 0.2, p.shape).astype(np.float32), learner[name])
         learner[f"target_{name}"] = learner[name]
     return replace(state, learner=learner)
 
@@ -80,16 +69,13 @@ def batches(count, seed=1):
 def updated(level, state, drawn):
     """Return the learner and the losses after updates with `drawn`, from a copy of `state`."""
     given = {name: array.astype(np.float32) for name, array in drawn.items()}
-    learner = {
-        name: value if name == "num_updates" else mapped(np.copy, value) for name, value in state.learner.items()
-    }
-    return compiled_update(level.settings, level.half_range)(learner, given)
+    return compiled_update(level.settings, level.half_range)(jax.tree.map(np.array, dict(state.learner)), given)
 
 
 def reference_of(level, state):
-    actor, both = (mapped(np.float64, state.learner[name]) for name in ("actor", "critics"))
-    critics = [list(mapped(lambda p, i=i: p[i], both)) for i in range(2)]
-    return reference.TD3(list(actor), critics, level.settings, level.half_range)
+    actor, both = (reference.mixed(np.float64, state.learner[name]) for name in ("actor", "critics"))
+    critics = [reference.mixed(lambda p, i=i: p[i], both) for i in range(2)]
+    return reference.TD3(actor, critics, level.settings, level.half_range)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -105,15 +91,6 @@ def test_updates_are_those_of_the_reference(variant):
         for found, critic in zip(flat(learner[f"{prefix}critics"]), getattr(made, f"{prefix}critics"), strict=True):
             np.testing.assert_allclose(found, flat(critic), atol=2e-4)
     assert learner["num_updates"] == count
-
-
-def test_the_learners_actor_is_the_one_that_acts():
-    """The network in JAX and `RectifiedMLP`, by which agents act, are one function."""
-    level = level_of()
-    state, inputs = started(level), np.random.default_rng(2).normal(size=(9, INPUTS)).astype(np.float32)
-    in_jax = act(state.learner["actor"], inputs, np.array(HALF_RANGE, np.float32))
-    in_numpy = level.actor.act(state.parameters.theta[None], inputs[None])[0] * HALF_RANGE
-    np.testing.assert_allclose(in_jax, in_numpy, atol=1e-6)
 
 
 def test_networks_start_as_in_the_published_code():
@@ -179,39 +156,6 @@ def test_candidates_are_the_goal_the_change_and_eight_around_it():
     assert (np.abs(drawn) <= limit).all()
     assert (np.abs(drawn[:, 1]) == 0.5).any()
     assert candidates(np.array([[4.0]]), np.array([[-20.0]]), (10.0,), rng)[0, :2].tolist() == [[4.0], [-10.0]]
-
-
-def test_the_goal_that_explains_the_actions_exactly_wins():
-    """A played interval of three steps of four: the fourth, which a fall cut off, does not count."""
-    rng, policy, view_size, steps = np.random.default_rng(1), RectifiedMLP(2 + 3, (16,), 2), 3, 4
-    mean, inverse_std = np.array([0.5, -1.0], np.float32), np.array([2.0, 0.25], np.float32)
-    theta = policy.initial(rng, "glorot_normal")
-    network = tuple((weights[0], biases[0, 0]) for weights, biases in policy.layers(theta[None]))
-
-    def actions(goal, moved, views):
-        """Return the actions of an interval in which the goal was `goal`."""
-        made = []
-        for step in range(steps):
-            goal = goal + (moved[step - 1] - moved[step] if step else 0)  # h(s, g, s')
-            inputs = np.concatenate([np.clip((goal - mean) * inverse_std, -5, 5), views[step]])
-            made.append(policy.act(theta[None], np.float32(inputs)[None, None])[0, 0])
-        return np.array(made)
-
-    goals = rng.uniform(-5, 5, (3, 6, 2))
-    goals[0, 1] = [1e6, 0]  # clipped
-    moved, views = rng.normal(size=(3, steps, 2)), rng.normal(size=(3, steps, view_size))
-    moved[:, 0], true = 0, [2, 0, 5]
-    played = np.array([actions(goals[i, true[i]], moved[i], views[i]) for i in range(3)])
-    played[:, 3] += 1
-    is_step = np.array([[1, 1, 1, 0]] * 3)
-    intervals = {"moved": moved, "view": views, "actions": played, "is_step": is_step}
-    given = {name: np.float32(array) for name, array in intervals.items()}
-    found = np.asarray(correction_errors(network, np.float32(goals), given, mean, inverse_std, np.float32(5)))
-    assert found.argmin(axis=1).tolist() == true
-    expected = [
-        [((actions(goal, moved[i], views[i]) - played[i])[:3] ** 2).sum() for goal in goals[i]] for i in range(3)
-    ]
-    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-8)
 
 
 def test_a_learner_corrects_every_goal_by_the_primitive_of_now():

@@ -47,7 +47,7 @@ def test_it_is_sampled_as_a_plain_list(count, seed):
     np.testing.assert_array_equal(drawn["reward"], np.array(content(replay))[indices])
 
 
-def test_a_buffer_stays_as_it_is_while_the_next_generation_is_stored():
+def test_a_buffer_stays_while_the_next_generation_is_stored():
     """So a checkpoint can be written meanwhile, without a copy."""
     replay = appended(EMPTY, 0, 25)
     arrays, before = replay.to_arrays(), content(replay)
@@ -84,7 +84,6 @@ def test_it_is_restored_with_the_same_arrays_and_goes_on_alike(count):
     ("change", "message"),
     [
         ({"older/reward": np.zeros(2, np.float32)}, r"inputs of a replay buffer is float32 of shape \(3, 2\)"),
-        ({"older/inputs": np.zeros((3, 4), np.float32)}, r"shape \(3, 4\), not float32 of shape \(3, 2\)"),
         ({"older/reward": np.zeros(3)}, "reward of a replay buffer is float64"),
         ({"older/reward": np.full(3, np.nan, np.float32)}, "NaN or infinity"),
         ({"end": np.array(2)}, "has 3, of 2 ever made"),

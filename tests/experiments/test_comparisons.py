@@ -48,7 +48,7 @@ def test_curves_without_test_scores_or_steps_are_not_compared(other):
     assert equal_budget([curve((0, 0.0), (100, 1.0))] * 2, [curve((0, 0.0), (9, 1.0)), other], "env_steps") == {}
 
 
-def test_variants_are_compared_with_the_base_and_corrected_in_groups():
+def test_variants_are_compared_with_the_base_and_corrected():
     variants = [("choices", "base"), ("choices", "worse"), ("choices", "same"), ("other", "frozen"), ("other", "free")]
     members = [run(name, seed, group=group) for group, name in variants for seed in range(10)]
     made = experiment(*members, pairs=within("other", ("frozen", "free")))
@@ -107,16 +107,9 @@ def test_equal_budgets_are_over_steps_and_hours_and_corrected():
 
     def points(each):
         speed, ends = (1, 2) if each.variant == "base" else (2, 4)
-        return [
-            {
-                "env_steps": 1e6 * at,
-                "seconds": 3600 * at * speed,
-                "score_mean": at * speed,
-                "primitive_env_steps": None,
-                "primitive_seconds": None,
-            }
-            for at in range(1 + ends)
-        ]
+        none = {"primitive_env_steps": None, "primitive_seconds": None}
+        of_step = {"env_steps": 1e6, "seconds": 3600 * speed, "score_mean": speed}
+        return [{**none, **{name: at * value for name, value in of_step.items()}} for at in range(1 + ends)]
 
     def row_of(each):
         return {"best_score": 7.0, "seconds": 1800 * each.seed, "env_steps": 100 * each.seed}

@@ -1,5 +1,6 @@
 """The designs of the experiments, as data: settings that are allowed, and differences that are meant."""
 
+import csv
 import hashlib
 from dataclasses import replace
 from functools import cache
@@ -14,7 +15,6 @@ from experiments.paper import TABLE_1, settings_table
 from experiments.paper_settings import SCALES
 from experiments.results import read_tables
 from experiments.running import check_experiment, runs_left
-from shes.runs.make_config import make_config
 from tests.experiments.tiny import run
 
 SEEDS = {"point": 10, "ant": 5}
@@ -32,20 +32,11 @@ def made(name, scale="laptop", seeds=1):
     return EXPERIMENTS[name](scale, seeds)
 
 
-def values(each):
-    """Return the settings of a run, by name, as if it took no primitive."""
-    return each.planned_config().values
-
-
-def runs_of(name, variant, scale="laptop"):
-    return [each for each in made(name, scale).runs if each.variant == variant]
-
-
 # Every experiment.
 
 
 @pytest.mark.parametrize(("name", "scale"), PLACES)
-def test_a_design_names_what_there_is_with_settings_that_are_allowed(name, scale, tmp_path):
+def test_a_design_is_complete_and_its_settings_are_allowed(name, scale, tmp_path):
     design = made(name, scale)
     variants = {(each.group, each.variant) for each in design.runs}
     assert len({each.name for each in design.runs}) == len(design.runs)
@@ -77,7 +68,7 @@ DIGESTS = {
 
 
 @pytest.mark.parametrize(("name", "scale"), DIGESTS)
-def test_the_settings_of_the_papers_experiments_change_on_purpose_only(name, scale):
+def test_settings_of_the_papers_experiments_change_on_purpose(name, scale):
     digests = sorted((each.name, each.digest) for each in made(name, scale).runs)
     found = hashlib.sha256(repr(digests).encode()).hexdigest()[:8]
     assert found == DIGESTS[name, scale], "if that was meant, write the new digest here, and what it is to CHANGELOG.md"
@@ -137,33 +128,17 @@ def test_every_variant_has_all_seeds_and_stored_results(name, seeds):
     assert all(results.curve for results in stored.values())
 
 
-def test_scale_paper_has_ten_seeds_and_the_papers_numbers_of_workers(tmp_path):
-    assert SCALES["paper"].seeds == {"ant": 10}
-    assert {each.settings["num_workers"] for each in made("fig4", "paper").runs} == {48, 240, 600}
+def test_the_workers_of_figure_4_are_those_of_its_variants(tmp_path):
     for each in made("fig4", "smoke").runs:
         workers = each.config(tmp_path, {"backend": "processes", "num_workers": 7}).workers
         assert (workers.backend, f"{workers.num_workers}") == ("processes", each.variant.rpartition("-")[2])
 
 
-@pytest.mark.parametrize(
-    ("body", "tuned"), [("ant", set()), ("point", {"sigma", "learning_rate", "controller_interval"})]
-)
-def test_the_published_form_is_preset_paper_but_for_its_size(body, tuned):
-    sizes = {"hidden", "population_size", "episodes_per_policy", "statistics_fraction", "noise_table_size"}
-    # The task is that of every method: its first states, and its target.
-    task = {"reset_noise", "horizon", "evaluation_horizon", "evaluation_episodes", "evaluation_interval", "target"}
-    allowed = {*sizes, *task, *tuned, "generations", "env_steps"}
-    for each in (found for found in runs_of("fig5", "published") if found.env.startswith(body)):
-        ours, paper = values(each), make_config(each.env, "paper").values
-        assert {name for name in ours if ours[name] != paper[name]} - {"preset"} <= allowed
-        laptop = make_config(each.env, "laptop").values
-        assert (ours["reset_noise"], ours["horizon"]) == (laptop["reset_noise"], 500)
-
-
 @pytest.mark.parametrize("scale", ["laptop", "paper"])
 def test_figure_6_times_the_settings_of_table_one(scale):
-    timed = {each.variant: values(each) for each in measured_runs(scale)}
-    trained = {each.variant: values(each) for each in made("fig3", "paper").runs if each.env == "ant-maze"}
+    timed = {each.variant: each.planned_config().values for each in measured_runs(scale)}
+    published = [each for each in made("fig3", "paper").runs if each.env == "ant-maze"]
+    trained = {each.variant: each.planned_config().values for each in published}
     assert list(timed) == ["published", "es", "pieces"]
     for form in ("published", "pieces"):
         different = {name for name in timed[form] if timed[form][name] != trained[form][name]}
@@ -178,5 +153,11 @@ def test_figure_6_times_the_settings_of_table_one(scale):
 
 @pytest.mark.parametrize(("name", "folder", "count"), [("ablation", "ablation", 490), ("walker", "learning", 165)])
 def test_the_stored_results_are_of_todays_settings(name, folder, count):
-    design = made(name, "laptop", None)
-    assert (len(design.runs), runs_left(design, RESULTS / folder)) == (count, [])
+    """A digest of settings is the same for every seed."""
+    assert runs_left(made(name), RESULTS / folder) == []
+    digests = {each.place: each.digest for each in made(name).runs}
+    wanted = {(*each.place, f"{each.seed}", digests[each.place]) for each in made(name, "laptop", None).runs}
+    with (RESULTS / folder / "runs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = {tuple(row[column] for column in ("env", "group", "variant", "seed", "settings")) for row in rows}
+    assert (len(wanted), wanted - found) == (count, set())

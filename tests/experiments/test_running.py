@@ -13,6 +13,7 @@ import pytest
 from experiments.results import SUMMARY, read_results, read_summary, write_tables
 from experiments.running import check_experiment, finish, run_experiment, runs_left, side_by_side
 from experiments.summary import provenance_columns, summarise
+from shes.baselines.td3 import LEARNING
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError, WorkerError
 from shes.machine import core_numbers
 from shes.runs.evaluate import evaluate
@@ -20,8 +21,6 @@ from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from tests.e2e import runs
 from tests.experiments.tiny import FAILING, experiment, run, without_times
-
-ONE = experiment(run())
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +42,7 @@ def copy(finished, tmp_path):
 def made(out, *members, is_large=True, **options):
     """Make the runs of an experiment, in this process if they are large; return the errors, and results by name."""
     chosen = experiment(*members, has_large_runs=is_large)
-    options = {"backend": "serial", "num_workers": 1, **options}
-    failed = run_experiment(chosen, out, say=lambda _: None, **options)
+    failed = run_experiment(chosen, out, say=lambda _: None, **{"backend": "serial", "num_workers": 1, **options})
     return failed, {name: without_times(each) for name, each in read_results(chosen, out).items()}
 
 
@@ -64,17 +62,25 @@ def test_a_run_is_an_ordinary_one_and_a_row(finished, tiny_run):
     means = [returns[0], returns[1], sum(returns[2:]) / 2]  # since the evaluation before
     assert [point["training_return_mean"] for point in summary.curve] == pytest.approx(means)
     # The time of a run in one process is the processor's.
-    assert row["seconds"] == progress["process_time_s"][-1]
-    assert [point["seconds"] for point in summary.curve] == evaluation["process_time_s"]
+    assert [row["seconds"], *(point["seconds"] for point in summary.curve)] == [
+        progress["process_time_s"][-1],
+        *evaluation["process_time_s"],
+    ]
 
 
-def test_a_finished_run_is_not_made_again(finished, monkeypatch):
-    monkeypatch.setattr("experiments.running.finish_run", None)
-    finish(run(), finished, 3)
+def test_the_time_of_a_run_of_several_processes_is_the_walls(copy, finished, monkeypatch):
+    folder = RunFolder(copy / run().name)
+    record = folder.read_record()
+    record["config"]["workers"] |= {"backend": "processes", "num_workers": 2}
+    folder.write_record(record)
+    monkeypatch.setattr("experiments.summary.evaluate", lambda _, **given: evaluate(finished / run().name, **given))
+    row = summarise(run(), copy, 3).row
+    assert (row["workers"], row["seconds"]) == (2, read_csv(folder.progress)["wall_time_s"][-1])
 
 
 @pytest.mark.parametrize("has_more", [True, False])
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not(copy, finished, has_more):
+    """A finished one is not made again."""
     folder = RunFolder(copy / run().name)
     if has_more:  # killed after the second generation; else after the last one, and then it is not trained again
         shutil.copy(folder.checkpoint_path(2), folder.checkpoint_path("last"))
@@ -83,15 +89,15 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not(copy, finished, has_mor
     assert without_times(read_summary(run(), copy)) == without_times(read_summary(run(), finished))
     assert runs.differences(finished / run().name, folder.path) == []
     assert (folder.progress.read_bytes() == before) is not has_more
+    written = (copy / run().name / SUMMARY).stat()
+    finish(run(), copy, 3)
+    assert (copy / run().name / SUMMARY).stat() == written
 
 
-@pytest.mark.parametrize(
-    ("other", "what"),
-    [({"sigma": 0.5}, r"sigma is 0\.07 there, not 0\.5"), ({"generations": 9}, "generations is 4 there, not 9")],
-)
-def test_a_run_of_other_settings_is_refused_and_named(copy, other, what):
-    match = rf"seed-5 holds a run of other settings than \S+/seed-5, such as another --scale: {what}"
-    for go_on in (lambda: check_experiment(experiment(run(**other)), copy), lambda: finish(run(**other), copy, 3)):
+def test_a_run_of_other_settings_is_refused_and_named(copy):
+    other = run(sigma=0.5)
+    match = r"seed-5 holds a run of other settings than \S+/seed-5, such as another --scale: sigma is 0\.07 .*not 0\.5"
+    for go_on in (lambda: check_experiment(experiment(other), copy), lambda: finish(other, copy, 3)):
         with pytest.raises(RunFolderError, match=match):
             go_on()
 
@@ -112,28 +118,31 @@ def test_a_time_limit_of_a_run_counts_all_of_its_parts(tmp_path):
 
 def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeypatch):
     out = tmp_path / "out"
-    hiro = replace(run("hiro"), settings={"algorithm": "hiro"})
     cases = [
         (run("b", population_size=7), ConfigError, "population_size must be a positive multiple of 4", "serial"),
         (run(), UnknownNameError, "'rays'", "rays"),
-        (hiro, MissingExtraError, "--algorithm hiro needs JAX", "serial"),
-        (run(), MissingExtraError, "needs SciPy", "serial"),
+        (
+            replace(run("hiro"), settings={"algorithm": "hiro"}),
+            MissingExtraError,
+            "--algorithm hiro needs JAX",
+            "serial",
+        ),
     ]
     monkeypatch.setitem(sys.modules, "jax", None)
-    for name in [each for each in sys.modules if each.startswith("shes.baselines.")]:
-        monkeypatch.delitem(sys.modules, name)  # else what another test has imported is there already
+    monkeypatch.delitem(sys.modules, LEARNING, raising=False)  # else what another test has imported is there already
     for member, error, words, backend in cases:
-        if "SciPy" in words:
-            monkeypatch.setitem(sys.modules, "scipy", None)
         with pytest.raises(error, match=words):
             made(out, member, backend=backend)
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    with pytest.raises(MissingExtraError, match="needs SciPy"):
+        made(out, run())
     assert not out.exists()
     monkeypatch.undo()
     with pytest.raises(RunFolderError, match="is a run folder: several runs need a folder of their own"):
         made(finished / run().name, run())
 
 
-def test_a_primitive_is_made_before_what_takes_it_wherever_the_folder_lies(tmp_path, monkeypatch):
+def test_a_primitive_is_made_before_what_takes_it(tmp_path, monkeypatch):
     source = run(env="point-flagrun", group="transfer")
     taker = run("frozen", group="transfer", primitive=source, freeze_primitive=True)
     failed, found = made(tmp_path / "a", taker, source)
@@ -158,7 +167,7 @@ def test_a_primitive_is_made_before_what_takes_it_wherever_the_folder_lies(tmp_p
 def test_runs_side_by_side_have_the_same_numbers_and_fail_alone(tmp_path, finished):
     bad = run("bad", **FAILING)
     taker = run("taker", primitive=bad)
-    failed, found = made(tmp_path, taker, run(), bad, is_large=False, num_workers=1)
+    failed, found = made(tmp_path, taker, run(), bad, is_large=False)
     assert failed.keys() == {bad.name, taker.name}
     assert "noise_table_size is 3" in failed[bad.name]
     assert failed[taker.name] == "the run of its primitive failed"
@@ -166,41 +175,22 @@ def test_runs_side_by_side_have_the_same_numbers_and_fail_alone(tmp_path, finish
     assert (tmp_path / "runs.csv").is_file()
 
 
-def test_large_runs_have_all_workers_and_count_by_the_wall_clock(tmp_path, copy, finished, monkeypatch):
-    failed, found = made(tmp_path / "large", run(), num_workers=2)
-    assert (failed, found) == ({}, {run().name: without_times(read_summary(run(), finished))})
-    folder = RunFolder(copy / run().name)
-    large = RunFolder(tmp_path / "large" / run().name).read_record()
-    assert large["config"]["workers"].items() >= {"backend": "serial", "num_workers": 2}.items()
-    large["config"]["workers"]["backend"] = "processes"
-    folder.write_record(large)
-    monkeypatch.setattr("experiments.summary.evaluate", lambda _, **given: evaluate(finished / run().name, **given))
-    row = summarise(run(), copy, 3).row
-    assert (row["workers"], row["seconds"]) == (2, read_csv(folder.progress)["wall_time_s"][-1])
-
-
 def note_cores(place, each):
     """Note the cores of this process; stands in for a run. One is killed, as for lack of memory."""
-    (place / f"{os.getpid()}").write_text(repr(psutil.Process().cpu_affinity()))
+    (place / each).write_text(repr(psutil.Process().cpu_affinity()))
     if each == "killed":
         os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be kept on a core here")
-def test_a_process_keeps_to_a_core_if_all_are_used_and_ends_all_if_killed(tmp_path):
+def test_a_process_keeps_to_a_core_and_ends_all_if_killed(tmp_path):
     cores = core_numbers()
-    for count, members in ((len(cores), ["a"] * 8), (len(cores) - 1, ["a", "killed"])):
-        place = tmp_path / f"{count}"
-        place.mkdir()
-        outcomes = side_by_side(partial(note_cores, place), max(1, count), members)
-        if "killed" in members:
-            with pytest.raises(WorkerError, match="a process that made runs has died, maybe for lack of memory"):
-                list(outcomes)
-        else:
-            assert list(outcomes) == [(each, "") for each in members]
-        found = {file.read_text() for file in place.iterdir()}
-        assert found <= ({f"[{core}]" for core in cores} if count >= len(cores) else {f"{cores}"})
-        assert found
+    one = partial(note_cores, tmp_path)
+    assert list(side_by_side(one, len(cores), ["pinned"])) == [("pinned", "")]
+    assert (tmp_path / "pinned").read_text() in {f"[{core}]" for core in cores}
+    with pytest.raises(WorkerError, match="a process that made runs has died, maybe for lack of memory"):
+        list(side_by_side(one, max(1, len(cores) - 1), ["killed"]))
+    assert (tmp_path / "killed").read_text() == (f"{cores}" if len(cores) > 1 else f"[{cores[0]}]")
 
 
 def test_the_origin_of_a_run_is_named_once_for_its_parts():

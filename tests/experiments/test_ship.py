@@ -7,9 +7,9 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.ship import ship
-from shes.errors import ConfigError, RunFolderError
+from shes.errors import ShesError
 from shes.runs import shipped
-from shes.runs.checkpoint import load_checkpoint, save_checkpoint
+from shes.runs.checkpoint import load_checkpoint
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
@@ -45,7 +45,7 @@ def agents(place, tmp_path, monkeypatch):
     return place
 
 
-def test_an_agent_is_a_small_run_folder_without_what_training_needs(agents, walker_run):
+def test_an_agent_is_a_run_folder_without_what_training_needs(agents, walker_run):
     folder = agents / "point-walker"
     assert {path.name for path in folder.iterdir()} == FILES
     assert [path.name for path in (folder / "checkpoints").iterdir()] == ["best.npz"]
@@ -60,9 +60,8 @@ def test_an_agent_is_a_small_run_folder_without_what_training_needs(agents, walk
         assert level.theta.tobytes() == copy.theta.tobytes()
         assert level.statistics.total.tobytes() == copy.statistics.total.tobytes()
         assert (level.optimizer.steps, copy.optimizer.steps) == (1, 0)
-        for slot, values in level.optimizer.slots.items():
-            new = copy.optimizer.slots[slot]
-            assert (new.dtype, new.shape, values.any(), new.any()) == (values.dtype, values.shape, True, False)
+        assert all(values.any() for values in level.optimizer.slots.values())
+        assert not any(values.any() for values in copy.optimizer.slots.values())
 
 
 def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_run):
@@ -118,30 +117,20 @@ def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (
-            {"name": "Ant Walker"},
-            r"name must be small letters, digits and hyphens, e\.g\. ant-walker, got 'Ant Walker'",
-        ),
-        ({"name": "../x"}, r"name must be small letters, .*got '\.\./x'"),
+        ({"name": "../Ant"}, r"name must be small letters, digits and hyphens, e\.g\. ant-walker, got '\.\./Ant'"),
         ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
-        ({"description": " "}, r"description must be one line of text, got ' '"),
         ({"episodes": 0}, r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
+        ({"checkpoint": "0"}, r"has no evaluation yet, .*Train it further first"),
     ],
 )
 def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
     words = {"name": "good", **TOLD, "episodes": 1, "num_workers": 1, "into": tmp_path, **changed}
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ShesError, match=message):
         ship(tiny_run, **words)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_without_an_evaluation_is_refused(run_copy, tmp_path):
-    save_checkpoint(run_copy / "checkpoints" / "best.npz", RunFolder.open(run_copy).load("0"))
-    with pytest.raises(RunFolderError, match=r"has no evaluation yet, .*Train it further first"):
-        ship(run_copy, "early", **TOLD, into=tmp_path)
-
-
-def test_the_command_ships_an_agent_and_prints_what_is_told_of_it(tiny_run, tmp_path, capsys):
+def test_the_command_ships_an_agent_and_prints_its_facts(tiny_run, tmp_path, capsys):
     commands = ["--command", "shes train a", "--command", "shes train b", "--into", str(tmp_path / "agents")]
     words = ["ship", str(tiny_run), "mine", "--description", "A point.", *commands]
     earlier = ["--earlier", str(tiny_run)]

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.task import FRAME_SKIP
+from shes.envs.named_environments import make_task
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.runs.folder import RunFolder
 from shes.sim.simulator import CpuSimulator
@@ -26,8 +25,7 @@ pytestmark = [pytest.mark.gpu, pytest.mark.timeout(600)]
 
 DEVICE = os.environ.get("SHES_TEST_DEVICE", "cuda")
 SIMULATOR = partial(WarpSimulator, device=DEVICE)
-# Feet touch the floor and Push's block rests against walls: in contact steps agree with C mostly, not always.
-WITHOUT_CONTACT = [name for name in ENVIRONMENTS if not name.endswith("-push")]
+# Feet touch the floor and the block of Push rests against walls: those agree with C mostly, not always.
 IN_CONTACT = {"ant", "one-hot"}
 TINY = {
     "preset": "smoke",
@@ -42,23 +40,6 @@ TINY = {
 @pytest.fixture(scope="module")
 def xp():
     return WarpDevice(DEVICE).xp
-
-
-@pytest.mark.parametrize("env", WITHOUT_CONTACT)
-def test_a_control_step_without_contact_agrees_with_c(env):
-    pair = [make_task(env, 6, simulator=simulator) for simulator in (CpuSimulator, SIMULATOR)]
-    rng = np.random.default_rng(0)
-    ids = np.arange(6)
-    for task in pair:
-        task.reset(ids, ids.tolist())
-        if task.body.name == "ant":
-            task.sim.qpos[:, 2] = 3.0  # in the air
-    control = rng.uniform(-1, 1, (6, pair[0].action_size)) * pair[0].control_limit
-    for task in pair:
-        task.step(ids, task.xp.asarray(control, dtype=np.float32))
-    found = to_host(pair[1].sim.qpos)
-    np.testing.assert_allclose(found, pair[0].sim.qpos, atol=1e-5 * FRAME_SKIP)
-    assert not to_host(pair[1].diverged).any()
 
 
 def test_those_that_do_not_run_do_not_move():

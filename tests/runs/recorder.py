@@ -118,7 +118,7 @@ def recording() -> Iterator[Record]:
         xp = np
 
         def __init__(self, name: str) -> None:
-            self.release_memory = self.free_bytes = lambda: None  # unknown
+            self.release_memory = lambda: None
 
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.baselines.learner_settings import HIRO_SECTIONS
+from shes.baselines.hiro import HIRO
 from shes.envs.tasks.mazes import Maze
 from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
@@ -391,7 +391,7 @@ def test_settings_show_in_the_run(source, tmp_path):
 
 
 def test_every_setting_has_a_row():
-    of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/baselines
+    of_hiro = {name for section in HIRO.sections.values() for name in setting_fields(section)}  # tests/baselines
     rows = {name for each in (*(group.rows for group in GROUPS.values()), *SHOWN) for name in each}
     assert rows | of_hiro == known_settings().keys() - {"max_diverged_generations"}  # which is fixed
 

@@ -7,15 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from shes.sim.simulator import CpuSimulator, count_divergences, forget_divergences
+from shes.sim.simulator import CpuSimulator
 from tests.sim.ants import INTEGRATORS, ant_model
-
-
-def disturb(simulator, rng):
-    """Give every simulation a different state and different controls."""
-    simulator.qpos[:, :3] += rng.uniform(-0.1, 0.1, (simulator.num_sims, 3))
-    simulator.qvel[:] += rng.normal(0, 0.5, simulator.qvel.shape)
-    simulator.ctrl[:] = rng.uniform(-30, 30, simulator.ctrl.shape)
 
 
 @pytest.fixture
@@ -34,7 +27,7 @@ def records():
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_stepping_any_subset_equals_a_loop_over_mj_step(integrator):
-    """Also after resets."""
+    """Also after resets. A whole state is poses, velocities, warm start and time, as every simulator has it."""
     model, num_sims = ant_model(integrator), 6
     rng = np.random.default_rng(7)
     simulator = CpuSimulator(model, num_sims)
@@ -43,7 +36,8 @@ def test_stepping_any_subset_equals_a_loop_over_mj_step(integrator):
         if turn % 30 == 0:
             anew = np.arange(num_sims) if turn == 0 else np.array([1, 4])
             simulator.reset(anew)
-            disturb(simulator, rng)
+            simulator.qpos[:, :3] += rng.uniform(-0.1, 0.1, (num_sims, 3))
+            simulator.qvel[:] = rng.normal(0, 0.5, simulator.qvel.shape)
             for i, data in enumerate(loop):
                 if i in anew:
                     mujoco.mj_resetData(model, data)
@@ -56,8 +50,8 @@ def test_stepping_any_subset_equals_a_loop_over_mj_step(integrator):
             loop[i].ctrl[:] = simulator.ctrl[i]
             mujoco.mj_step(model, loop[i], nstep)
             contacts += loop[i].ncon
-        assert_array_equal(simulator.qpos, [data.qpos for data in loop])
-        assert_array_equal(simulator.qvel, [data.qvel for data in loop])
+        whole = [[*data.qpos, *data.qvel, *data.qacc_warmstart, data.time] for data in loop]
+        assert_array_equal(simulator.states(np.arange(num_sims)), whole)
     assert contacts > 0, "without contacts the solver had nothing to do"
 
 
@@ -75,17 +69,6 @@ def test_every_divergence_goes_to_the_logger_alone(records, capfd, tmp_path, mon
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_warnings_that_count_are_those_after_which_mujoco_resets():
-    names = [name for name in vars(mujoco.mjtWarning) if name.startswith("mjWARN_BAD")]
-    assert len(names) == 4
-    data = mujoco.MjData(ant_model())
-    for name in names:
-        data.warning.number[int(getattr(mujoco.mjtWarning, name))] = 1
-    assert count_divergences(data) == 4
-    forget_divergences(data)
-    assert not data.warning.number.any()
-
-
 def test_a_warning_handler_that_the_caller_installed_stays(records):
     messages = []
     mujoco.set_mju_user_warning(messages.append)
@@ -94,17 +77,3 @@ def test_a_warning_handler_that_the_caller_installed_stays(records):
     simulator.step(np.arange(1), 5)
     assert len(messages) == 1
     assert records == []
-
-
-def test_a_whole_state_is_poses_velocities_warm_start_and_time():
-    """All simulators share this layout, so a run may continue with another one. Controls are set before a step."""
-    model = ant_model()
-    simulator = CpuSimulator(model, 1)
-    disturb(simulator, np.random.default_rng(3))
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:], data.ctrl[:] = simulator.qpos[0], simulator.qvel[0], simulator.ctrl[0]
-    simulator.step(np.arange(1), 40)
-    mujoco.mj_step(model, data, 40)
-    assert data.qacc_warmstart.any()
-    (kept,) = simulator.states(np.arange(1))
-    assert_array_equal(kept, [*data.qpos, *data.qvel, *data.qacc_warmstart, data.time])

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task_options import TaskOptions
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
@@ -50,41 +50,18 @@ def task_model(name, spec, **options):
     return environment.task.build_world(environment.body(), environment.task.Options(spec=spec, **options)).compile()
 
 
-def in_the_air(model, rng):
-    """Return positions and velocities without contacts, within the joint limits."""
-    data = mujoco.MjData(model)
-    for _ in range(200):
-        mujoco.mj_resetData(model, data)
-        for joint in range(model.njnt):
-            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-1, 1)
-            middle, half = (low + high) / 2, (high - low) / 2
-            address = model.jnt_qposadr[joint]
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-                data.qpos[address : address + 3] += [*rng.uniform(-1, 1, 2), rng.uniform(5, 10)]
-                data.qpos[address + 3 : address + 7] = (q := rng.normal(size=4)) / np.linalg.norm(q)
-            else:
-                data.qpos[address] = middle + 0.5 * half * rng.uniform(-1, 1)
-        data.qvel[:] = rng.normal(0, 1, model.nv)
-        mujoco.mj_forward(model, data)
-        if not data.nefc:
-            return data.qpos.copy(), data.qvel.copy()
-    return None
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @over_models
 def test_a_substep_where_nothing_touches_is_that_of_mujoco(name, spec, integrator):
     model, num_sims = task_model(name, spec, integrator=integrator), 8
-    # In some worlds a block always touches the walls; the rest of the physics is compared.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # In some worlds a block always touches the walls, and a default pose may lie beyond the limits.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     rng = np.random.default_rng(3)
     warp, cpu = WarpCpu(model, num_sims), CpuSimulator(model, num_sims)
     limit = model.actuator_ctrlrange[:, 1]
     for i in range(num_sims):
-        state = in_the_air(model, rng)
-        assert state is not None, "no pose without constraints found"
-        cpu.qpos[i], cpu.qvel[i] = state
-        cpu.ctrl[i] = rng.uniform(-limit, limit)
+        mujoco.mj_integratePos(model, cpu.qpos[i], rng.normal(0, 0.5, model.nv), 1.0)
+        cpu.qvel[i], cpu.ctrl[i] = rng.normal(0, 1, model.nv), rng.uniform(-limit, limit)
     for field in FIELDS:
         getattr(warp, field)[:] = getattr(cpu, field)
         getattr(cpu, field)[:] = getattr(warp, field)  # both start from the rounded state
@@ -94,41 +71,6 @@ def test_a_substep_where_nothing_touches_is_that_of_mujoco(name, spec, integrato
     assert not (warp.qpos == start).all()
     assert_allclose(warp.qpos, cpu.qpos, atol=1e-5, rtol=0)
     assert_allclose(warp.qvel, cpu.qvel, atol=1e-5, rtol=1e-6)
-
-
-def stir(simulators, rng, speed=0.5):
-    """Give the simulations of all `simulators` the same new states and controls."""
-    first = simulators[0]
-    place = rng.uniform(-0.1, 0.1, (first.num_sims, 3)).astype(np.float32)
-    velocity = rng.normal(0, speed, first.qvel.shape).astype(np.float32)
-    ctrl = rng.uniform(-30, 30, first.ctrl.shape).astype(np.float32)
-    for simulator in simulators:
-        simulator.qpos[:, :3] += place
-        simulator.qvel[:] = velocity
-        simulator.ctrl[:] = ctrl
-
-
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_the_replayed_graph_gives_what_mujoco_warp_gives(integrator):
-    import mujoco_warp
-    import warp
-
-    model, num_sims = ant_model(integrator), 3
-    simulator = WarpCpu(model, num_sims)
-    with warp.ScopedDevice("cpu"):
-        plain_model = mujoco_warp.put_model(model)
-        plain_model.callback.contactfilter = simulator.align_tangents
-        plain = mujoco_warp.make_data(model, num_sims, nconmax=simulator.nconmax, njmax=simulator.njmax)
-        stir([simulator], np.random.default_rng(1))
-        plain.qpos.numpy()[:], plain.qvel.numpy()[:] = simulator.qpos, simulator.qvel
-        plain.ctrl.numpy()[:] = simulator.ctrl
-        for _ in range(12):
-            simulator.step(np.arange(num_sims), 5)
-            for _ in range(5):
-                mujoco_warp.step(plain_model, plain)
-            assert_array_equal(simulator.qpos, plain.qpos.numpy())
-            assert_array_equal(simulator.qvel, plain.qvel.numpy())
-    assert simulator.peaks()[0] > 0, "nothing touched"
 
 
 @pytest.mark.parametrize("field", FIELDS)
@@ -202,33 +144,8 @@ def test_a_block_between_walls_stands_where_it_stands_in_c(name):
     assert np.abs(warp.qpos[0, -2:]).max() < 0.03
 
 
-@pytest.mark.parametrize("cone", ["pyramid", "ellipse"])
-def test_a_substep_with_feet_on_the_ground_is_nearly_that_of_c(cone):
-    """Capsule contacts have the tangents of MuJoCo in C; else a substep is off by up to 0.6 m/s."""
-    model, num_sims, ids = ant_model(), 32, np.arange(32)
-    model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if cone == "pyramid" else mujoco.mjtCone.mjCONE_ELLIPTIC
-    rng = np.random.default_rng(0)
-    warp, cpu = WarpCpu(model, num_sims), CpuSimulator(model, num_sims)
-    cpu.qvel[:] = rng.normal(0, 0.1, cpu.qvel.shape)
-    data, contacts = mujoco.MjData(model), 0
-    for _ in range(40):
-        cpu.ctrl[:] = rng.uniform(-30, 30, cpu.ctrl.shape)
-        cpu.step(ids, 4)
-        for field in FIELDS:
-            getattr(warp, field)[:] = getattr(cpu, field)
-            getattr(cpu, field)[:] = getattr(warp, field)
-        data.qpos[:], data.qvel[:] = cpu.qpos[0], cpu.qvel[0]
-        mujoco.mj_fwdPosition(model, data)
-        contacts += data.ncon
-        warp.step(ids, 1)
-        cpu.step(ids, 1)
-        assert_allclose(warp.qvel, cpu.qvel, atol=2e-3, rtol=0)
-        assert np.median(np.abs(warp.qvel - cpu.qvel)) < 1e-5
-    assert contacts > 20
-
-
 def test_walks_of_two_seconds_are_those_of_c():
-    """The median error is 2e-6 m; with mujoco-warp's own tangents it would be 0.2 m."""
+    """The median error is 2e-6 m; with mujoco-warp's own tangents of contacts it would be 0.2 m."""
     num_episodes, ids = 32, np.arange(32)
     places = []
     for simulator in (WarpCpu, CpuSimulator):
@@ -242,11 +159,6 @@ def test_walks_of_two_seconds_are_those_of_c():
         places.append(task.position.copy())
     assert np.hypot(*places[1].T).max() > 0.3, "nobody walked"
     assert np.median(np.hypot(*(places[0] - places[1]).T)) < 1e-3
-
-
-def test_an_unknown_device_is_refused_by_name():
-    with pytest.raises(UnknownNameError, match=r"unknown device 'gpu'.*cuda, warp-cpu.*--device"):
-        WarpSimulator(ant_model(), 1, device="gpu")
 
 
 def test_models_that_it_cannot_run_are_refused():
@@ -266,7 +178,7 @@ def test_it_says_nothing_on_stdout(tmp_path):
     """By default Warp prints messages to stdout, where the command line prints its results."""
     program = """
 import mujoco, numpy as np
-from shes.sim.warp import WarpSimulator, default_sizes
+from shes.sim.warp import WarpSimulator
 model = mujoco.MjModel.from_xml_string(
     '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
 )

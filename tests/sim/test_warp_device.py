@@ -3,6 +3,7 @@
 import os
 import sys
 import warnings
+from contextlib import nullcontext
 from importlib import metadata
 from types import SimpleNamespace
 
@@ -37,7 +38,7 @@ def versions(monkeypatch):
 
 @pytest.fixture
 def machine(monkeypatch, versions):
-    """A machine with a GPU: its Warp and its CuPy; `freed` is how often CuPy gave back memory."""
+    """A machine with a GPU: its Warp and its CuPy."""
     device = SimpleNamespace(name="Card 1", ordinal=0, stream=SimpleNamespace(cuda_stream=7))
     warp = SimpleNamespace(
         config=SimpleNamespace(log_level=20),
@@ -49,30 +50,27 @@ def machine(monkeypatch, versions):
         is_conditional_graph_supported=lambda: True,
         get_device=lambda _: device,
     )
-    stream, freed = SimpleNamespace(use=lambda: None, synchronize=lambda: None), []
+    stream = SimpleNamespace(use=lambda: None)
 
     def deprecated(*_):
         warnings.warn("ExternalStream is deprecated", DeprecationWarning, stacklevel=2)  # CuPy 14.2; an error in tests
         return stream
 
-    runtime = SimpleNamespace(memGetInfo=lambda: (3000, 5000))
     cupy = SimpleNamespace(
         __version__="14.2.0",
         zeros=np.zeros,
-        get_default_memory_pool=lambda: SimpleNamespace(free_all_blocks=lambda: freed.append(1)),
-        cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated, runtime=runtime),
+        cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated),
     )
     for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
         monkeypatch.setitem(sys.modules, name, module)
     warp_device.start_warp.cache_clear()
-    yield SimpleNamespace(warp=warp, cupy=cupy, freed=freed)
+    yield SimpleNamespace(warp=warp, cupy=cupy)
     warp_device.start_warp.cache_clear()
 
 
 @pytest.mark.parametrize(
     ("module", "message"),
     [
-        ("warp", r"pip install 'shes\[gpu\]', or 'shes\[warp\]' for --device warp-cpu"),
         ("mujoco_warp", r"pip install 'shes\[gpu\]', or 'shes\[warp\]' for --device warp-cpu"),
         ("cupy", r"device cuda needs CuPy .*pip install 'shes\[gpu\]'"),
     ],
@@ -87,8 +85,6 @@ def test_a_missing_extra_is_named(machine, monkeypatch, module, message):
     ("package", "version", "message"),
     [
         ("mujoco", "3.9.0", r"shes needs mujoco~=4\.0, got 3\.9\.0\. .*pip install 'shes\[gpu\]'"),
-        ("mujoco", "5.0.0", r"shes needs mujoco~=4\.0, got 5\.0\.0"),
-        ("mujoco-warp", "3.3.1", r"shes needs mujoco-warp~=4\.0, got 3\.3\.1"),
         ("warp-lang", "1.10.0", r"shes needs warp-lang>=1\.19, got 1\.10\.0"),
         ("warp-lang", "1.19.5", r"mujoco-warp needs warp-lang>=1\.20, got 1\.19\.5"),  # more than we need
     ],
@@ -99,9 +95,17 @@ def test_versions_that_do_not_go_together_are_refused(machine, versions, package
         load_warp()
 
 
-def test_a_version_before_its_release_counts(machine, versions):
+def test_a_version_before_its_release_counts_and_is_recorded(machine, versions):
     versions["warp-lang"] = "1.21.0.dev20270101"
     load_warp()
+    assert WarpDevice("cuda").facts == {
+        "name": "cuda",
+        "mujoco-warp": "4.0.1",
+        "warp-lang": "1.21.0.dev20270101",
+        "cupy": "14.2.0",
+        "card": "Card 1",
+        "driver": "CUDA 13.0",
+    }
 
 
 def fails(text):
@@ -125,7 +129,6 @@ OLD_CUPY = "cudaErrorInsufficientDriver: CUDA driver version is insufficient for
             {},
             r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\.",
         ),
-        ({"get_cuda_device_count": lambda: 0}, {}, r"Warp found none\. `nvidia-smi`"),
         (
             {"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)},
             {},
@@ -142,31 +145,13 @@ OLD_CUPY = "cudaErrorInsufficientDriver: CUDA driver version is insufficient for
             r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\.",
         ),
     ],
-    ids=["no driver", "no card", "old driver", "driver older than CuPy", "full GPU"],
+    ids=["no driver", "old driver", "driver older than CuPy", "full GPU"],
 )
 def test_a_card_that_cannot_be_used_is_a_clear_error(machine, warp, cupy, message):
     vars(machine.warp).update(warp)
     vars(machine.cupy).update(cupy)
     with pytest.raises(ConfigError, match=message):
         WarpDevice("cuda")
-
-
-def test_the_record_of_a_card_has_its_name_driver_and_versions(machine):
-    assert WarpDevice("cuda").facts == {
-        "name": "cuda",
-        "mujoco-warp": "4.0.1",
-        "warp-lang": "1.20.0",
-        "cupy": "14.2.0",
-        "card": "Card 1",
-        "driver": "CUDA 13.0",
-    }
-    assert WarpDevice("warp-cpu").facts == {"name": "warp-cpu", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
-
-
-def test_free_memory_is_what_is_left_once_cupy_has_freed_its_own(machine):
-    assert WarpDevice("cuda").free_bytes() == 3000
-    assert machine.freed == [1]
-    assert WarpDevice("warp-cpu").free_bytes() is None
 
 
 @pytest.mark.parametrize(
@@ -177,26 +162,21 @@ def test_free_memory_is_what_is_left_once_cupy_has_freed_its_own(machine):
         (RuntimeError("Graph launch error: Warp CUDA error 2: out of memory"), True),
         (RuntimeError("CUBLAS_STATUS_ALLOC_FAILED"), True),
         (RuntimeError("CUDA error 700: an illegal memory access was encountered"), False),
-        (ConfigError("mujoco-warp's contact buffer overflowed"), False),
     ],
 )
 def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
     assert is_out_of_memory(error) is expected
 
 
-def test_messages_of_warps_native_code_alone_are_kept(machine, capfd):
-    machine.warp.init = lambda: os.write(2, NO_DRIVER + b"somebody else\n")
-    load_warp()
-    os.write(2, b"after\n")
-    assert capfd.readouterr() == ("", "somebody else\nafter\n")
-
-
-def test_stderr_comes_back_where_warp_cannot_start(machine, capfd):
+@pytest.mark.parametrize("fails", [False, True])
+def test_messages_of_warps_native_code_alone_are_kept(machine, capfd, fails):
     def init():
-        os.write(2, b"why\n")
-        raise RuntimeError("no")
+        os.write(2, NO_DRIVER + b"somebody else\n")
+        if fails:
+            raise RuntimeError("no")
 
     machine.warp.init = init
-    with pytest.raises(RuntimeError, match="no"):
+    with pytest.raises(RuntimeError, match="no") if fails else nullcontext():
         load_warp()
-    assert capfd.readouterr().err == "why\n"
+    os.write(2, b"after\n")
+    assert capfd.readouterr() == ("", "somebody else\nafter\n")

@@ -27,11 +27,12 @@ from shes.types import BoolArray, F32Array, F64Array, IntArray
 class Actor:
     """A level's actor, which explores."""
 
+    is_random: bool = False
+    """Whether outputs are uniform in their range."""
+
     def __init__(self, level: Level) -> None:
         """Prepare the actor of `level`."""
-        self.name, self._level, self._limit = level.name, level, np.array(level.half_range)
-        self.is_random = False
-        """Whether outputs are uniform in their range."""
+        self.level, self._limit = level, np.array(level.half_range)
 
     def use(self, network: Network, statistics: ObservationStatistics) -> None:
         """Act by `network` from now on, with inputs normalised by `statistics`."""
@@ -39,7 +40,7 @@ class Actor:
 
     def act(self, inputs: F64Array, rng: np.random.Generator) -> F64Array:
         """Return the outputs with exploration noise [N, A], in units of the environment, for inputs [N, O]."""
-        level, shape = self._level, (len(inputs), len(self._limit))
+        level, shape = self.level, (len(inputs), len(self._limit))
         if self.is_random:
             return rng.uniform(-self._limit, self._limit, shape)
         scaled = normalise(inputs, *self._normalisation, level.settings.input_clip)
@@ -108,7 +109,7 @@ class Collector:
         """Start new episodes in `rows`."""
         self.batch.reset(rows, [next(seeds) for _ in rows])
         self.steps[rows] = 0
-        self.observe()
+        self.observation = self.batch.observe().copy()
 
     def step(self, rows: IntArray, rng: np.random.Generator) -> Step:
         """Advance the episodes in `rows` by one control step."""
@@ -116,7 +117,7 @@ class Collector:
         control = self.actors[-1].act(inputs, rng)
         batch.step(rows, control)
         self.steps[rows] += 1
-        self.observe()
+        self.observation = batch.observe().copy()
         is_sound = ~batch.diverged[rows]
         has_ended = batch.terminated[rows] & is_sound
         return Step(
@@ -127,10 +128,6 @@ class Collector:
             terminated=has_ended & ~batch.truncated[rows],
             ended=has_ended | ~is_sound | (self.steps[rows] >= self._horizon),
         )
-
-    def observe(self) -> None:
-        """Copy the current observations."""
-        self.observation = self.batch.observe().copy()
 
     def inputs(self) -> F64Array:
         """Return the current inputs of the acting level [N, O]."""

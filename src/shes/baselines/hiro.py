@@ -21,7 +21,7 @@ from shes.agents.mlp import MLP, RectifiedMLP
 from shes.agents.views import ColumnsView
 from shes.algorithms.problem import Problem
 from shes.baselines.collector import Collector, Step, as_float32
-from shes.baselines.learner_settings import HIRO_SECTIONS
+from shes.baselines.learner_settings import GoalSettings
 from shes.baselines.levels import Level, Rows
 from shes.baselines.td3 import TD3, check_problem
 from shes.envs.episode_batch import EpisodeBatch
@@ -127,30 +127,25 @@ class HiroCollector(Collector):
     def __init__(self, batch: EpisodeBatch, design: HiroDesign, *arguments: Any) -> None:
         """Play with agents of `design`; see `Collector`."""
         super().__init__(batch, design, *arguments)
-        n, c, size = batch.num_episodes, design.controller_interval, design.decision_size
-        self._design, self._interval = design, c
+        self._design, self._interval = design, design.controller_interval
         self._columns = list(design.primitive_view.indices or ())
-        self._goal, self._coordinates = np.zeros((n, size)), np.zeros((n, size))
-        self._intrinsic_return = np.zeros(n)
-        # Of the interval that is running: observation, goal and coordinates at its start, reward, and its steps.
-        self._first = {"inputs": np.zeros((n, batch.observation_size)), "goal": np.zeros((n, size))}
-        self._origin, self._earned = np.zeros((n, size)), np.zeros(n)
-        self._played = {
-            "moved": np.zeros((n, c, size)),
-            "view": np.zeros((n, c, len(self._columns))),
-            "actions": np.zeros((n, c, batch.action_size)),
-        }
+
+        def zeros(*names: str) -> dict[str, F64Array]:
+            shapes = self.actors[0].level.replay.shapes
+            return {name: np.zeros((batch.num_episodes, *shapes[name])) for name in names}
+
+        self._goal, self._coordinates, self._origin = (zeros("goal")["goal"] for _ in range(3))
+        self._intrinsic_return, self._earned = (np.zeros(batch.num_episodes) for _ in range(2))
+        # Of the interval that is running: observation and goal at its start, and its steps. Likewise `_origin`, the
+        # coordinates at its start, and `_earned`, its reward.
+        self._first, self._played = zeros("inputs", "goal"), zeros("moved", "view", "actions")
 
     def begin(self, rows: IntArray, seeds: Iterator[int], rng: np.random.Generator) -> None:
         """Start new episodes in `rows`, with goals."""
         super().begin(rows, seeds, rng)
+        self._coordinates = self._design.coordinates(self.observation, self.batch.position)
         self._intrinsic_return[rows] = 0
         self._decide(rows, rng)
-
-    def observe(self) -> None:
-        """Copy the current observations and coordinates."""
-        super().observe()
-        self._coordinates = self._design.coordinates(self.observation, self.batch.position)
 
     def inputs(self) -> F64Array:
         """Return the current inputs of the primitive [N, G + V]: the goal, then its view."""
@@ -160,6 +155,7 @@ class HiroCollector(Collector):
         """Advance the episodes in `rows` by one control step, and note it for the off-policy correction."""
         before, place = self._coordinates, (np.arange(len(self.steps)), self.steps % self._interval)
         step = super().step(rows, rng)
+        self._coordinates = self._design.coordinates(self.observation, self.batch.position)
         self._played["moved"][place] = before - self._origin
         self._played["view"][place] = step.inputs[:, self._design.decision_size :]
         self._played["actions"][place] = step.control
@@ -213,7 +209,7 @@ class HIRO(TD3):
     """Trains controller and primitive by gradients. Source: Nachum et al. 2018."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
+    sections: ClassVar[Mapping[str, type[Settings]]] = {**TD3.sections, "goals": GoalSettings}
     collector: ClassVar[type[Collector]] = HiroCollector
     design: HiroDesign
 
@@ -246,14 +242,16 @@ class HIRO(TD3):
     def make_levels(self) -> tuple[Level, ...]:
         """Return the controller and the primitive."""
         design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
-        of_interval = {
-            "goal": (size,),
-            "change": (size,),
-            "moved": (interval, size),
-            "view": (interval, design.primitive.sizes[0] - size),
-            "actions": (interval, design.primitive.sizes[-1]),
-            "is_step": (interval,),
-        }
         goals = self.problem.settings.goals
-        controller = self.make_level("controller", design.half_range, goals.goal_noise, of_interval)
+        controller = self.make_level(
+            "controller",
+            design.half_range,
+            goals.goal_noise,
+            goal=(size,),
+            change=(size,),
+            moved=(interval, size),
+            view=(interval, design.primitive.sizes[0] - size),
+            actions=(interval, design.primitive.sizes[-1]),
+            is_step=(interval,),
+        )
         return replace(controller, update_interval=goals.controller_update_interval), *super().make_levels()

@@ -84,11 +84,6 @@ class GoalSettings(Settings):
     """Environment steps for one update of the controller."""
 
 
-TD3_SECTIONS: Mapping[str, type[Settings]] = {"learner": LearnerSettings}
-"""Settings of one policy without goals."""
-HIRO_SECTIONS: Mapping[str, type[Settings]] = {**TD3_SECTIONS, "goals": GoalSettings}
-"""Settings of a controller and its primitive."""
-
 _HIRO: dict[str, Any] = {
     "hidden": (300, 300),
     "actor_learning_rate": 1e-4,

@@ -118,8 +118,7 @@ class Replay:
         end, size = int(arrays["end"]), sum(len(block["reward"]) for block in blocks)
         if not size <= min(end, self.capacity):
             raise ValueError(f"a replay buffer of {self.capacity} transitions has {size}, of {end} ever made")
-        older, newer = blocks
-        return replace(self, size=0, end=end - size, _ring=None).append(older).append(newer)
+        return replace(self, size=0, end=end - size, _ring=None).append(blocks[0]).append(blocks[1])
 
     def emptied(self) -> Replay:
         """Return the buffer without its transitions."""

@@ -24,7 +24,7 @@ from shes.algorithms.contract import Algorithm, Preset, Report
 from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
-from shes.baselines.learner_settings import HIRO_PRESETS, TD3_SECTIONS, LearnerSettings
+from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings
 from shes.baselines.levels import LearnerState, Level, Replay, within
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
@@ -52,7 +52,7 @@ class TD3State:
 class TD3(Algorithm[TD3State]):
     """Trains one policy without goals by gradients. Source: Fujimoto et al. 2018."""
 
-    sections: ClassVar[Mapping[str, type[Settings]]] = TD3_SECTIONS
+    sections: ClassVar[Mapping[str, type[Settings]]] = {"learner": LearnerSettings}
     presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
     packages: ClassVar[tuple[str, ...]] = ("jax", "optax")
     learns_in_main_process: ClassVar[bool] = True
@@ -81,13 +81,11 @@ class TD3(Algorithm[TD3State]):
     def make_levels(self) -> tuple[Level, ...]:
         """Return the levels, controller first: here that alone which acts every step."""
         own, actions = self.settings, self.design.policies[-1].sizes[-1]
-        limits, shapes = (self.design.control_limit,) * actions, {"action": (actions,)}
-        level = self.make_level(self.level_names[-1], limits, own.exploration_noise, shapes)
+        limits = (self.design.control_limit,) * actions
+        level = self.make_level(self.level_names[-1], limits, own.exploration_noise, action=(actions,))
         return (replace(level, update_interval=own.update_interval, updates=own.update_interval),)
 
-    def make_level(
-        self, name: str, half_range: tuple[float, ...], exploration_noise: float, shapes: Mapping[str, tuple[int, ...]]
-    ) -> Level:
+    def make_level(self, name: str, half_range: tuple[float, ...], noise: float, **shapes: tuple[int, ...]) -> Level:
         """Return a level whose transitions have arrays of these `shapes` in addition to those of every level."""
         own, actor = self.settings, self.design.networks[name]
         common = {"inputs": actor.sizes[:1], "reward": (), "goes_on": (), "next_inputs": actor.sizes[:1]}
@@ -97,7 +95,7 @@ class TD3(Algorithm[TD3State]):
             name=name,
             actor=actor,
             half_range=tuple(map(float, half_range)),
-            exploration_std=own.noise_units(half_range) * exploration_noise,
+            exploration_std=own.noise_units(half_range) * noise,
             settings=own,
             replay=Replay(shapes={**common, **shapes}, capacity=own.replay_size, slack=slack),
         )
@@ -149,7 +147,7 @@ class TD3(Algorithm[TD3State]):
         num_steps = own.warmup_steps - env_steps if is_random else own.generation_steps
         purposes = (Purpose.TRAINING_EPISODES, Purpose.EXPLORATION, Purpose.REPLAY)
         seeding, exploring, drawing = (stream(state.seed, each, state.generation) for each in purposes)
-        actors = {actor.name: actor for actor in collector.actors}
+        actors = {actor.level.name: actor for actor in collector.actors}
         for name, actor in actors.items():
             actor.is_random = is_random
             actor.use(learners[name].actor, learners[name].statistics)
@@ -162,12 +160,8 @@ class TD3(Algorithm[TD3State]):
                 learners[name].update(count, drawing)
                 actors[name].use(learners[name].actor, learners[name].statistics)
         finished = {name: learner.finish() for name, learner in learners.items()}
-        state = TD3State(
-            seed=state.seed,
-            generation=state.generation + 1,
-            env_steps=env_steps,
-            learners=tuple(level for level, _ in finished.values()),
-        )
+        ended = tuple(level for level, _ in finished.values())
+        state = replace(state, generation=state.generation + 1, env_steps=env_steps, learners=ended)
         rollout_s, physics_s = collector.rollout_s, collector.physics_s
         seconds = {"rollout_s": rollout_s, "update_s": perf_counter() - start - rollout_s, "physics_s": physics_s}
         times = {name: round(value, 4) for name, value in seconds.items()}
@@ -235,11 +229,6 @@ def check_problem(problem: Problem) -> EpisodeBatch:
         fault = (
             f"batch_size is {own.batch_size:,}, more than the {own.replay_size:,} transitions of replay_size: nothing "
             "would ever be learned. Set --batch-size lower, or --replay-size higher."
-        )
-    elif own.num_envs > own.generation_steps:  # they take memory, and most play nothing
-        fault = (
-            f"num_envs is {own.num_envs:,}, but a generation has {own.generation_steps:,} environment steps "
-            f"(generation_steps). Set --num-envs {own.generation_steps} or less."
         )
     elif task.ends_early:
         fault = (

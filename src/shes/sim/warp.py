@@ -26,13 +26,11 @@ from shes.sim.simulator import Simulator
 from shes.sim.warp_device import WarpDevice, load_warp
 from shes.types import IntArray
 
-_MAX_CONTACTS = 2**31 - 1
-"""Largest number of contacts of all simulations together."""
+_MAX_CONTACTS = 2**31 - 1  # of all simulations together
 _CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
 """Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
 _CONTACTS_OF_OTHERS = 8
-_TOUCHES_OF_OTHERS = 3
-"""Geoms that another shape touches at once: a block touches the ground and two walls."""
+_TOUCHES_OF_OTHERS = 3  # geoms at once: a block touches the ground and two walls
 
 
 def default_sizes(model: mujoco.MjModel) -> tuple[int, int]:
@@ -80,7 +78,12 @@ class WarpSimulator(Simulator):
         from shes.sim import warp_kernels
 
         self._kernels = warp_kernels
-        _check_state(model)
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_PHYSICS)
+        if size != model.nq + model.nv:  # all that `reset` resets
+            raise ConfigError(
+                f"the Warp simulator supports models whose state is qpos and qvel ({model.nq + model.nv} numbers), got "
+                f"one of {size}: activations, delays or plasticity. Use --device cpu."
+            )
         default = default_sizes(model)
         self.nconmax, self.njmax = nconmax or default[0], njmax or default[1]
         if num_sims * self.nconmax > _MAX_CONTACTS:
@@ -174,20 +177,17 @@ class WarpSimulator(Simulator):
 
     def _capture(self, nstep: int) -> Any:
         """Return the graph of `nstep` substeps. The first call compiles the kernels, which takes up to a minute."""
-        with self._warp.ScopedDevice(self._device.warp_device):
-            if not self._graphs:
-                self._load_kernels()
-            with self._warp.ScopedCapture() as capture:
+        wp, data = self._warp, self._data
+        with wp.ScopedDevice(self._device.warp_device):
+            if not self._graphs:  # a substep compiles every kernel; then the state is restored
+                arrays = (data.qpos, data.qvel, data.qacc_warmstart, data.time, self._has_diverged)
+                copies = [wp.clone(array) for array in arrays]
+                self._launch(1)
+                for array, copy in zip(arrays, copies, strict=True):
+                    wp.copy(array, copy)
+            with wp.ScopedCapture() as capture:
                 self._launch(nstep)
         return capture.graph
-
-    def _load_kernels(self) -> None:
-        """Run one substep, so that every kernel is compiled, and restore the state."""
-        arrays = (self._data.qpos, self._data.qvel, self._data.qacc_warmstart, self._data.time, self._has_diverged)
-        copies = [self._warp.clone(array) for array in arrays]
-        self._launch(1)
-        for array, copy in zip(arrays, copies, strict=True):
-            self._warp.copy(array, copy)
 
     def _launch(self, nstep: int) -> None:
         """Launch or record a control step of `nstep` substeps."""
@@ -215,13 +215,3 @@ class WarpSimulator(Simulator):
 
     def _launch_kernel(self, kernel: Any, arguments: list[Any]) -> None:
         self._warp.launch(kernel, dim=self.num_sims, inputs=arguments)
-
-
-def _check_state(model: mujoco.MjModel) -> None:
-    """Raise a ConfigError unless the model's state is qpos and qvel, which is all that `reset` resets."""
-    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_PHYSICS)
-    if size != model.nq + model.nv:
-        raise ConfigError(
-            f"the Warp simulator supports models whose state is qpos and qvel ({model.nq + model.nv} numbers), got one "
-            f"of {size}: activations, delays or plasticity. Use --device cpu."
-        )

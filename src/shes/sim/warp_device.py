@@ -19,10 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from shes.errors import ConfigError, MissingExtraError, UnknownNameError
+from shes.errors import ConfigError, MissingExtraError
 
 DEVICES = ("warp-cpu", "cuda")
-
 _PACKAGES = ("mujoco-warp", "warp-lang")
 _NATIVE = "Warp CUDA "  # begins lines that Warp's native code writes to stderr without a GPU
 _OUT_OF_MEMORY = ("failed to allocate", "out of memory", "alloc_failed")  # Warp's, CUDA's, cuBLAS'
@@ -106,8 +105,6 @@ class WarpDevice:
         On `cuda`, CuPy's current stream in this thread becomes Warp's, so that the work of both runs in the order in
         which it was issued, without waiting.
         """
-        if name not in DEVICES:
-            raise UnknownNameError("device", name, DEVICES, "Set --device.")
         warp, _ = load_warp()
         self.name = name
         self.xp: ModuleType = np
@@ -148,14 +145,6 @@ class WarpDevice:
             facts |= {"cupy": self.xp.__version__, "card": self.warp_device.name, "driver": f"CUDA {_driver(warp)}"}
         return facts
 
-    def free_bytes(self) -> int | None:
-        """Return the free memory of the GPU in bytes; None on the CPU."""
-        if self.xp is np:
-            return None
-        self.release_memory()
-        self.synchronize()  # Warp's pool releases unused memory at a synchronisation
-        return int(self.xp.cuda.runtime.memGetInfo()[0])
-
     def release_memory(self) -> None:
         """Release unused memory: CuPy pools it, and a simulator has reference cycles."""
         gc.collect()
@@ -176,11 +165,6 @@ class WarpDevice:
         yield
         end.record(self._stream)
         timers.append(lambda: (end.synchronize(), self.xp.cuda.get_elapsed_time(begin, end))[1] / 1e3)
-
-    def synchronize(self) -> None:
-        """Wait until all issued work is done."""
-        if self.xp is not np:
-            self._stream.synchronize()
 
 
 def _driver(warp: ModuleType) -> str:
