@@ -1,8 +1,7 @@
-"""The documentation builds without warnings, agrees with the code, has no broken links, and needs no network."""
+"""README and documentation agree with the code, have no broken links, need no network, and build without warnings."""
 
 import contextlib
 import importlib
-import importlib.util
 import io
 import os
 import pkgutil
@@ -30,8 +29,9 @@ pytestmark = pytest.mark.timeout(400)  # the first test that needs the site wait
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-SRC = ROOT / "src" / "shes"
 PAGES = sorted(DOCS.rglob("*.md"))
+each_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 class Page(HTMLParser):
@@ -44,7 +44,7 @@ class Page(HTMLParser):
         self.links = []
         self.resources = []
         self.tables = []
-        self._cell = None
+        self._is_in_cell = False
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attributes):
@@ -61,26 +61,23 @@ class Page(HTMLParser):
         elif tag == "tr":
             self.tables[-1].append([])
         elif tag in ("td", "th"):
-            self._cell = {"text": "", "links": []}
-            self.tables[-1][-1].append(self._cell)
-        elif tag == "a" and self._cell is not None:
-            self._cell["links"].append(values.get("href"))
+            self._is_in_cell = True
+            self.tables[-1][-1].append("")
 
     def handle_data(self, data):
-        if self._cell is not None:
-            self._cell["text"] += data
+        if self._is_in_cell:
+            self.tables[-1][-1][-1] += data
 
     def handle_endtag(self, tag):
         if tag in ("td", "th"):
-            self._cell = None
+            self._is_in_cell = False
 
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
     """Return the folder of the site, built with --strict."""
     for package in ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers"):
-        if importlib.util.find_spec(package) is None:
-            pytest.skip(f"the documentation needs {package}: pip install 'shes[docs]'")
+        pytest.importorskip(package, reason="pip install 'shes[docs]'")
     folder = tmp_path_factory.mktemp("docs") / "site"
     built = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
@@ -108,7 +105,7 @@ def test_every_page_is_built_and_no_python_file_is_copied(site, pages):
     assert expected <= set(pages)
     assert set(COMMANDS) <= pages["reference/command-line.html"].ids
     (table,) = pages["reference/shes.html"].tables
-    assert [row[0]["text"] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
+    assert [row[0] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
     assert not list(site.rglob("*.py*"))
 
 
@@ -156,16 +153,16 @@ def test_at_the_width_of_a_window_and_of_a_telephone_nothing_is_cut_or_broken(si
 def test_an_environments_page_lists_its_observations_and_actions(site, pages, name):
     task = make_task(name, 1)
     page = pages[f"environments/{name}.html"]
-    tables = {tuple(cell["text"] for cell in table[0][:2]): table[1:] for table in page.tables}
-    observed = [table[1:] for table in page.tables if table[0][1]["text"] == "name"]
+    tables = {tuple(table[0][:2]): table[1:] for table in page.tables}
+    observed = [table[1:] for table in page.tables if table[0][1] == "name"]
     for spec, rows in zip(task.specs, observed, strict=True):
         elements = make_task(name, 1, TaskOptions(spec=spec)).observation_spec
-        assert [row[1]["text"] for row in rows] == [element.name for element in elements]
-        assert [row[0]["text"] for row in rows] == [str(i) for i in range(len(elements))]
-    assert [row[1]["text"] for row in tables["index", "control"]] == list(task.body.controls)
-    facts = {row[0]["text"]: row[1]["text"] for row in tables["Gymnasium id", gymnasium_id(name)]}
+        assert [row[1] for row in rows] == [element.name for element in elements]
+        assert [row[0] for row in rows] == [str(i) for i in range(len(elements))]
+    assert [row[1] for row in tables["index", "control"]] == list(task.body.controls)
+    facts = {row[0]: row[1] for row in tables["Gymnasium id", gymnasium_id(name)]}
     assert facts["Score"] == type(task).description.score
-    assert {row[0]["text"] for row in tables["argument", "default"]} == setting_fields(task.Options).keys()
+    assert {row[0] for row in tables["argument", "default"]} == setting_fields(task.Options).keys()
     assert (site / "environments" / f"{name}.png").stat().st_size > 1000
     assert f"{name}.html" in pages["environments/index.html"].links
 
@@ -232,7 +229,7 @@ def flags():
     )
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+@pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
     own = {"--logdir", "--head", "--address", "--oversubscribe"}  # of TensorBoard, Ray and MPI
@@ -243,17 +240,14 @@ def test_flags_and_commands_exist(path, flags):
     assert set(commands) <= set(COMMANDS)
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
-def test_code_that_a_page_links_to_exists(path):
-    for name in re.findall(r"\]\[(shes[\w.]*)\]", path.read_text(encoding="utf-8")):
+@each_page
+def test_code_and_tables_that_a_page_links_to_exist(path):
+    text = path.read_text(encoding="utf-8")
+    for name in re.findall(r"\]\[(shes[\w.]*)\]", text):
         pkgutil.resolve_name(name)
-
-
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
-def test_tables_that_a_page_links_to_are_in_the_repository(path):
-    links = re.findall(r"\]\(([\w/.-]+\.(?:csv|json))\)", path.read_text(encoding="utf-8"))
-    assert not [link for link in links if not (path.parent / link).is_file()]
-    assert links or path != DOCS / "paper.md"
+    tables = re.findall(r"\]\(([\w/.-]+\.(?:csv|json))\)", text)
+    assert not [link for link in tables if not (path.parent / link).is_file()]
+    assert tables or path != DOCS / "paper.md"
 
 
 def test_the_home_page_and_the_readme_name_every_guide():
@@ -261,8 +255,7 @@ def test_the_home_page_and_the_readme_name_every_guide():
     guides |= {"reference/index.md", "reference/command-line.md", "reference/settings.md"}
     assert guides <= set(re.findall(r"\]\(([\w/-]+\.md)\)", (DOCS / "index.md").read_text(encoding="utf-8")))
     made = {"changelog.md", "results.md", *(name for name in guides if name.startswith("reference/"))}
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert guides - made <= set(re.findall(r"\]\(docs/([\w/-]+\.md)\)", readme))
+    assert guides - made <= set(re.findall(r"\]\(docs/([\w/-]+\.md)\)", README))
 
 
 def test_getting_started_names_every_example():
@@ -277,3 +270,32 @@ def test_the_tables_of_a_page_are_those_of_the_results(monkeypatch, tables, page
     monkeypatch.syspath_prepend(DOCS)
     text = (DOCS / page).read_text(encoding="utf-8")
     assert importlib.import_module(tables).filled(text) == text, f"run: python docs/{tables}.py"
+
+
+@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\((?!http)([^)]+)\)", README))))
+def test_a_link_of_the_readme_leads_to_a_file_or_to_its_line(link):
+    path, _, anchor = link.partition("#L")
+    assert (ROOT / path).exists()
+    if anchor:
+        assert "line" in (ROOT / path).read_text(encoding="utf-8").splitlines()[int(anchor) - 1]
+
+
+def test_the_readme_is_short():
+    lines = README.splitlines()
+    assert len(lines) <= 120
+    assert [line for line in lines if len(line) > 120] == []
+
+
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    (example,) = code_blocks(ROOT / "README.md", "python")
+    for text, tiny in {"seed=0)": 'seed=0, generations=2, backend="serial")', "s=20)": "s=2, num_workers=1)"}.items():
+        assert text in example
+        example = example.replace(text, tiny, 1)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {})  # noqa: S102 - our own README
+    assert capsys.readouterr().out.splitlines()[-1] == "[1. 2. 3.]"
+
+
+@pytest.mark.parametrize("name", ["README.md", "results/README.md"])
+def test_nothing_is_left_to_be_filled_in(name):
+    assert not re.findall(r"\b[A-Z]+_[A-Z]+\b(?<!SHES_CACHE_DIR)", (ROOT / name).read_text(encoding="utf-8"))

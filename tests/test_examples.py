@@ -29,8 +29,10 @@ PRINTS = {
 """Last line that each example prints, which shows that it works and learns."""
 STAND_INS = Path(__file__).parent / "stand_ins"
 """Modules for packages that examples need and that are not installed."""
-SECONDS = {"flat_es", "hierarchical_run", "optuna_search", "own_environment", "own_reward", "wandb_logging"}
-"""Examples that take more than about three seconds."""
+SECONDS = {
+    "flat_es", "hierarchical_run", "optuna_search", "own_environment", "own_reward", "random_search", "wandb_logging",
+}  # fmt: skip
+"""Examples that take more than about three seconds. Random search has the tests of every algorithm, too."""
 
 
 def named(path):
