@@ -100,6 +100,11 @@ def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
     assert exit_code(work) == code
 
 
+def test_memory_that_runs_out_is_one_line(capsys):
+    assert exit_code(fail(MemoryError())) == 2
+    assert capsys.readouterr().err.startswith("Error: not enough memory (no more is free). Reduce the size")
+
+
 TRAIN = ["train", "point-gather", *runs.flags(**{**runs.TINY, "generations": 2})]
 
 
