@@ -89,5 +89,5 @@ def test_a_limit_of_the_address_space_counts():
     assert int(done.stdout) <= 4_000_000 * 1024
 
 
-def test_the_disk_of_a_missing_path_is_that_of_its_nearest_folder(tmp_path):
+def test_a_missing_path_has_the_disk_of_its_nearest_folder(tmp_path):
     assert free_disk(tmp_path / "a" / "b" / "c") == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.05)

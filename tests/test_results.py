@@ -26,7 +26,7 @@ def test_there_are_policies_and_no_other_arrays():
 @pytest.mark.parametrize(
     "file", sorted((*RESULTS.rglob("config.json"), *AGENTS.rglob("config.json"))), ids=lambda file: file.parent.name
 )
-def test_the_record_of_every_committed_run_has_all_of_its_settings(file):
+def test_the_record_of_a_committed_run_has_all_of_its_settings(file):
     folder = RunFolder(file.parent)
     assert folder.read_record()["config"] == folder.read_config().to_dict()
 

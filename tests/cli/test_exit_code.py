@@ -36,7 +36,7 @@ def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
     assert capsys.readouterr().err == f"Error: {BRACKETS}\n"
 
 
-def test_a_table_is_broken_between_words_and_in_its_widest_column(capsys, monkeypatch):
+def test_a_table_breaks_between_words_and_in_its_widest_column(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     rows = [("runs/" + "long-" * 9, "point-gather", "5.00 ± 0.11"), ("b", "ant-maze", "-")]
     out = shown(capsys, Listing({}, [Table(("run", "environment", "best score"), rows)])).out
