@@ -2,22 +2,19 @@
 
 import re
 import subprocess
-from dataclasses import make_dataclass
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 import pytest
 
 from shes.cli import main, parsing
-from shes.cli.program import COMMANDS, EVERYWHERE, REMOVED
+from shes.cli.program import COMMANDS, EVERYWHERE
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
-from shes.es.optimizers import OPTIMIZERS
 from shes.runs import comparison, export
 from shes.runs.config import resumable_settings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
-from shes.settings import Settings
 from shes.types import Listing
 from shes.viewing import plot, render
 
@@ -243,17 +240,3 @@ def test_bash_completes_commands_flags_and_choices(shes, tmp_path):
         code += f"COMP_POINT={len(line)}; COMPREPLY=(); $completing; echo ${{COMPREPLY[@]}}\n"
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
     assert [line.split() for line in done.stdout.splitlines()] == list(COMPLETED.values())
-
-
-@pytest.mark.parametrize("what", REMOVED)
-def test_what_was_removed_names_its_replacement(capsys, what):
-    words = ["train", "point-gather", what, "1"] if what.startswith("--") else what.split()
-    assert main(words) == 2
-    name = what if what.startswith("--") else f"shes {what}"
-    assert capsys.readouterr().err == f"Error: {name} was removed. Instead, {REMOVED[what]}.\n"
-
-
-def test_a_removed_flag_that_an_own_class_has_is_one_again(given, monkeypatch):
-    options = make_dataclass("Options", [("momentum", float, 0.5)], bases=(Settings,), frozen=True, kw_only=True)
-    monkeypatch.setitem(OPTIMIZERS, "own", type("Own", (OPTIMIZERS["sgd"],), {"Options": options}))
-    assert given("point-gather", "--optimizer", "own", "--momentum", "0.8")[1]["momentum"] == 0.8

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from shes.cli.program import COMMANDS, REMOVED, TERMINATED, find_command
+from shes.cli.program import COMMANDS, TERMINATED, find_command
 from shes.console import LineConsole
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
@@ -152,17 +152,14 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def _check_flags(words: Sequence[str], command: Callable[..., int]) -> None:
-    """Raise ConfigError for a flag that was removed, or one of several values that is given twice."""
-    known = known_settings()
-    several = {each.flag for each in known.values() if each.kind is tuple}
+    """Raise ConfigError for a flag of several values that is given twice."""
+    several = {each.flag for each in known_settings().values() if each.kind is tuple}
     for name, kind in command.__annotations__.items():
         first, *notes = get_args(kind) or (None,)
         if get_origin(first) is tuple and tyro.conf.UseAppendAction not in notes:
             several.add(flag(name))
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
     for each in given:
-        if each in REMOVED and each not in {setting.flag for setting in known.values()}:
-            raise ConfigError(f"{each} was removed. Instead, {REMOVED[each]}.")
         if each in several and given.count(each) > 1:
             raise ConfigError(f"{each} is given twice. Give it once, with all its values.")
 
