@@ -139,10 +139,9 @@ def given(monkeypatch):
     """Return a function that returns environment, settings and seed that a command line of `train` gives."""
     found = []
 
-    def train(env: str, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path("x")) -> int:
+    def train(env: str, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path("x")) -> None:
         """Take."""
         found.append((env, settings, seed))
-        return 0
 
     def run(*words):
         assert parsing.call("train", train, words) == 0
