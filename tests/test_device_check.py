@@ -40,14 +40,14 @@ def test_the_power_is_as_stated():
 
 
 def test_other_seeds_on_the_same_simulator_are_not_told_apart():
-    found = compare_with_cpu("point-maze", CpuSimulator, episodes=300, horizon=40)
+    found = compare_with_cpu("point-maze", CpuSimulator, episodes=120, horizon=20)
     assert {c.measure for c in found} == {"environment return", "primitive return", "steps", "distance moved"}
     assert not differ(found)
 
 
-@pytest.mark.parametrize(("share", "episodes"), [(0.75, 500), pytest.param(0.9, 2000, marks=pytest.mark.extras)])
+@pytest.mark.parametrize(("share", "episodes"), [(0.75, 350), pytest.param(0.9, 2000, marks=pytest.mark.extras)])
 def test_weaker_motors_are_found(share, episodes):
-    found = compare_with_cpu("point-maze", partial(Sluggish, share=share), episodes=episodes, horizon=20)
+    found = compare_with_cpu("point-maze", partial(Sluggish, share=share), episodes=episodes, horizon=15)
     assert differ(found)
 
 
