@@ -81,11 +81,13 @@ class Listener:
         self.heard.append(("event", event))
 
 
-def test_a_listener_hears_of_everything_in_order(tmp_path):
-    listener = Listener()
-    path = runs.train_tiny(tmp_path / "run", listener=listener)
+def test_listeners_hear_of_everything_in_order(tmp_path):
+    """They have all methods, or some, or are functions of a row."""
+    listener, rows, scores = Listener(), [], []
+    some = type("Some", (), {"on_evaluation": lambda _, row: scores.append(row["score_mean"])})()
+    run = shes.train("point-gather", out=tmp_path / "run", listener=[listener, rows.append, some], **runs.TINY)
     assert listener.heard == [
-        ("start", path, 0, 1),
+        ("start", run.path, 0, 1),
         ("generation", 1, 160),
         ("evaluation", 1, 3),
         ("generation", 2, 320),
@@ -94,12 +96,6 @@ def test_a_listener_hears_of_everything_in_order(tmp_path):
         ("generation", 4, 640),
         ("evaluation", 4, 3),
     ]
-
-
-def test_listeners_are_functions_of_a_row_or_have_any_method(tmp_path):
-    rows, scores = [], []
-    only = type("Only", (), {"on_evaluation": lambda _, row: scores.append(row["score_mean"])})()
-    run = shes.train("point-gather", out=tmp_path / "run", listener=[rows.append, only], **runs.TINY)
     assert [row["generation"] for row in rows] == [1, 2, 3, 4]
     assert scores == run.evaluations["score_mean"].tolist()
 
@@ -125,6 +121,14 @@ def test_a_listener_ends_the_run_well(tmp_path, run, listener):
     assert shes.resume(stopped, generations=3).generation == 3
 
 
+class Typo:
+    on_generatoin = stops
+
+
+class Few:
+    on_start = stops
+
+
 class Asynchronous:
     async def on_event(self, event):
         pass
@@ -135,17 +139,9 @@ class Asynchronous:
     [
         (3, ConfigError, r"listener must be a function of a row, or an object with any of on_start, .*; got 3\."),
         (Listener, ConfigError, r"listener must be an object, got the class Listener\. Write Listener\(\)"),
-        (
-            type("Typo", (), {"on_generatoin": stops})(),
-            UnknownNameError,
-            r"method of a listener 'on_generatoin'\. Did you mean 'on_generation'",
-        ),
+        (Typo(), UnknownNameError, r"method of a listener 'on_generatoin'\. Did you mean 'on_generation'"),
         (lambda: 0, ConfigError, r"listener <lambda> must take \(row\): too many positional"),
-        (
-            [print, type("Few", (), {"on_start": stops})()],
-            ConfigError,
-            r"must take \(path, config, generation, num_wor",
-        ),
+        ([print, Few()], ConfigError, r"must take \(path, config, generation, num_wor"),
         (Asynchronous(), ConfigError, r"listener Asynchronous\.on_event must be a plain function, not an async one"),
     ],
 )
