@@ -80,15 +80,14 @@ def bench_rollout(
             pairs.append(pair)
             if len(pairs) >= repeats and perf_counter() - start >= seconds:
                 break
-    whole, bare = zip(*pairs, strict=True)
     named = ("env", "hidden", "integrator", "population_size", "episodes_per_policy", "device")
     return {
         **{name: config.values[name] for name in named},
         "num_workers": workers,
         "generations": len(pairs),
-        "env_steps_per_s": statistics.median(whole),
-        "bare_steps_per_s": statistics.median(bare),
-        "ratio": statistics.median(w / b for w, b in pairs) / workers,
+        "env_steps_per_s": statistics.median(whole for whole, _ in pairs),
+        "bare_steps_per_s": statistics.median(bare for _, bare in pairs),
+        "ratio": statistics.median(whole / bare for whole, bare in pairs) / workers,
     }
 
 
