@@ -210,7 +210,6 @@ def test_a_flag_of_several_values_given_twice_is_refused(capsys, line, flag):
     ("line", "default"),
     [
         ("train point-gather --preset paper --sigma abc", "0.02"),
-        ("train ant-maze --sigma abc", "0.1"),
         ("train point-gather --critic-learning-rate abc", "0.001"),
         ("resume x --generations abc", "as before"),
     ],
