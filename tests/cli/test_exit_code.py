@@ -7,31 +7,21 @@ import sys
 
 import pytest
 
-from shes.cli import main, parsing
+from shes.cli import main
 from shes.cli.program import BROKEN_PIPE, INTERRUPTED, exit_code
 from shes.console import LineConsole
 from shes.errors import ConfigError, WorkerError
-from shes.types import Listing, Table, facts_listing
+from shes.types import Table
 from tests.e2e import runs
 
 BRACKETS = "[b]x[/b] [/q] pip install 'shes[robotics]'"
 
 
-def shown(capsys, listing):
-    """Return what a command that returns `listing` prints, and its errors."""
-
-    def say(path: str = "") -> Listing:
-        """Say."""
-        return listing
-
-    assert parsing.call("say", say, []) == 0
-    return capsys.readouterr()
-
-
 def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    facts = facts_listing({BRACKETS: BRACKETS})
-    assert shown(capsys, Listing({}, [*facts.parts, BRACKETS])).out.count(BRACKETS) == 3
+    LineConsole().print_table(Table((), [(BRACKETS, BRACKETS)]))
+    LineConsole().print_line(BRACKETS)
+    assert capsys.readouterr().out.count(BRACKETS) == 3
     LineConsole(stderr=True).print_error(BRACKETS)
     assert capsys.readouterr().err == f"Error: {BRACKETS}\n"
 
@@ -39,7 +29,8 @@ def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
 def test_a_table_breaks_between_words_and_in_its_widest_column(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     rows = [("runs/" + "long-" * 9, "point-gather", "5.00 ± 0.11"), ("b", "ant-maze", "-")]
-    out = shown(capsys, Listing({}, [Table(("run", "environment", "best score"), rows)])).out
+    LineConsole().print_table(Table(("run", "environment", "best score"), rows))
+    out = capsys.readouterr().out
     lines = out.splitlines()
     assert len({len(line) for line in lines}) == 1
     assert len(lines[0]) <= 50

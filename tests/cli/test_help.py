@@ -56,12 +56,9 @@ def test_the_choices_are_those_there_are(function, name, known):
 
 def test_a_command_has_the_help_of_the_function_behind_it(shes):
     text = joined(shes("render", "--help") + shes("plot", "--help"))
-    for part in (
-        "--camera {both,follow,top} Camera. (default: both)",
-        "Checkpoints: best, last or numbers of gen",
-        "left out if others have one. (required)",
-    ):
-        assert part in text
+    assert "--camera {both,follow,top} Camera. (default: both)" in text
+    assert "Checkpoints: best, last or numbers of gen" in text
+    assert "left out if others have one. (required)" in text
 
 
 def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
