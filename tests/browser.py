@@ -82,15 +82,15 @@ class Browser:
             self.requests.append(content["request"]["url"])
         return found
 
-    def open(self, path, width=1280, height=900):
-        """Open the file at `path` in a window of this size."""
-        self.resize(width, height)
+    def open(self, path, width=1280):
+        """Open the file at `path` in a window of this width."""
+        self.resize(width)
         self.call("Page.navigate", url=Path(path).as_uri())
         self.wait_for("document.readyState === 'complete'")
 
-    def resize(self, width, height):
-        """Change the size of the window."""
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+    def resize(self, width):
+        """Change the width of the window."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
 
     def evaluate(self, expression):
         """Return the value of a JavaScript expression."""
@@ -119,7 +119,7 @@ def layout_faults(binary, site, pages, widths, profile):
         for page in pages:
             browser.open(Path(site) / page)
             for width in widths:
-                browser.resize(width, 900)
+                browser.resize(width)
                 browser.evaluate("new Promise((done) => setTimeout(done, 50))")  # for scripts that listen to the width
                 found = browser.evaluate(LAYOUT.read_text(encoding="utf-8"))
                 faults += [[width, page, *fault] for fault in found]

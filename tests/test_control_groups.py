@@ -27,51 +27,39 @@ def machine(tmp_path, monkeypatch):
     return tmp_path
 
 
-def write(machine, files):
+@pytest.mark.parametrize(
+    ("find", "files", "expected"),
+    [
+        (free_memory, {}, 8 * GIB),
+        (free_memory, {"jobs/memory.max": "1073741824", "jobs/7/memory.max": "max"}, GIB),
+        (free_memory, {"jobs/memory.max": "2147483648", "jobs/7/memory.max": "1073741824"}, GIB),
+        (free_memory, {"memory.max": "1073741824"}, GIB),
+        (free_memory, {"unified/jobs/7/memory.max": "1073741824"}, GIB),
+        (free_memory, {"memory/job/memory.limit_in_bytes": "1073741824"}, GIB),
+        (
+            free_memory,
+            {"memory/memory.limit_in_bytes": "1073741824"},
+            GIB,
+        ),  # in a container that sees its group as root
+        (free_memory, {"memory/job/memory.limit_in_bytes": "9223372036854771712"}, 8 * GIB),  # "none" in version 1
+        (free_memory, {"memory/other/memory.limit_in_bytes": "1073741824"}, 8 * GIB),
+        (num_cores, {}, 8),
+        (num_cores, {"jobs/7/cpu.max": "max 100000"}, 8),
+        (num_cores, {"jobs/7/cpu.max": "250000 100000"}, 3),
+        (num_cores, {"jobs/7/cpu.max": "20000 100000"}, 1),
+        (num_cores, {"jobs/cpu.max": "300000 100000", "jobs/7/cpu.max": "400000 100000"}, 3),
+        (num_cores, {"jobs/7/cpu.max": "1600000 100000"}, 8),
+        (num_cores, {"cpu/job/cpu.cfs_quota_us": "50000", "cpu/job/cpu.cfs_period_us": "25000"}, 2),
+        (num_cores, {"cpu,cpuacct/job/cpu.cfs_quota_us": "9", "cpu,cpuacct/job/cpu.cfs_period_us": "3"}, 3),
+        (num_cores, {"cpu/job/cpu.cfs_quota_us": "-1", "cpu/job/cpu.cfs_period_us": "100000"}, 8),
+    ],
+)
+def test_memory_and_cores_are_at_most_the_least_limit(machine, find, files, expected):
     for name, text in files.items():
         path = machine / "groups" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text + "\n")
-
-
-@pytest.mark.parametrize(
-    ("files", "expected"),
-    [
-        ({}, 8 * GIB),
-        ({"jobs/7/memory.max": "max"}, 8 * GIB),
-        ({"jobs/7/memory.max": "1073741824"}, GIB),
-        ({"jobs/memory.max": "1073741824", "jobs/7/memory.max": "max"}, GIB),
-        ({"memory.max": "1073741824"}, GIB),
-        ({"unified/jobs/7/memory.max": "1073741824"}, GIB),
-        ({"memory/job/memory.limit_in_bytes": "1073741824"}, GIB),
-        ({"memory/memory.limit_in_bytes": "1073741824"}, GIB),  # a container that sees its own group as the root
-        ({"memory/job/memory.limit_in_bytes": "9223372036854771712"}, 8 * GIB),  # version 1 has no other "none"
-        ({"memory/other/memory.limit_in_bytes": "1073741824"}, 8 * GIB),
-    ],
-)
-def test_free_memory_is_at_most_the_least_limit(machine, files, expected):
-    write(machine, files)
-    assert free_memory() == expected
-
-
-@pytest.mark.parametrize(
-    ("files", "expected"),
-    [
-        ({}, 8),
-        ({"jobs/7/cpu.max": "max 100000"}, 8),
-        ({"jobs/7/cpu.max": "200000 100000"}, 2),
-        ({"jobs/7/cpu.max": "250000 100000"}, 3),
-        ({"jobs/7/cpu.max": "20000 100000"}, 1),
-        ({"jobs/cpu.max": "300000 100000", "jobs/7/cpu.max": "400000 100000"}, 3),
-        ({"jobs/7/cpu.max": "1600000 100000"}, 8),
-        ({"cpu/job/cpu.cfs_quota_us": "50000", "cpu/job/cpu.cfs_period_us": "25000"}, 2),
-        ({"cpu,cpuacct/job/cpu.cfs_quota_us": "300000", "cpu,cpuacct/job/cpu.cfs_period_us": "100000"}, 3),
-        ({"cpu/job/cpu.cfs_quota_us": "-1", "cpu/job/cpu.cfs_period_us": "100000"}, 8),
-    ],
-)
-def test_there_are_no_more_cores_than_the_quota(machine, files, expected):
-    write(machine, files)
-    assert num_cores() == expected
+    assert find() == expected
 
 
 def test_a_system_without_these_files_has_what_it_has(machine):
@@ -89,5 +77,5 @@ def test_a_limit_of_the_address_space_counts():
     assert int(done.stdout) <= 4_000_000 * 1024
 
 
-def test_the_disk_of_a_missing_path_is_that_of_its_nearest_folder(tmp_path):
+def test_a_missing_path_has_the_disk_of_its_nearest_folder(tmp_path):
     assert free_disk(tmp_path / "a" / "b" / "c") == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.05)

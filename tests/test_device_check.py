@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.device_check import ALPHA, POWER, compare_with_cpu, detectable_shift
 from shes.envs.named_environments import ENVIRONMENTS
-from shes.errors import UnknownNameError
 from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator
 
@@ -23,12 +22,9 @@ class Sluggish(CpuSimulator):
         super().__init__(model, num_sims)
 
 
-def smallest_p(comparisons):
-    return min(min(c.p_shift, c.p_distance) for c in comparisons)
-
-
-def corrected_alpha(comparisons):
-    return ALPHA / (2 * len(comparisons))
+def differ(comparisons):
+    """Return whether any p value of the comparisons is below the corrected threshold."""
+    return min(min(each.p_shift, each.p_distance) for each in comparisons) < ALPHA / (2 * len(comparisons))
 
 
 def test_the_power_is_as_stated():
@@ -44,20 +40,15 @@ def test_the_power_is_as_stated():
 
 
 def test_other_seeds_on_the_same_simulator_are_not_told_apart():
-    found = compare_with_cpu("point-maze", CpuSimulator, episodes=300, horizon=40)
+    found = compare_with_cpu("point-maze", CpuSimulator, episodes=120, horizon=20)
     assert {c.measure for c in found} == {"environment return", "primitive return", "steps", "distance moved"}
-    assert smallest_p(found) > corrected_alpha(found)
+    assert not differ(found)
 
 
-@pytest.mark.parametrize(("share", "episodes"), [(0.75, 500), pytest.param(0.9, 2000, marks=pytest.mark.extras)])
+@pytest.mark.parametrize(("share", "episodes"), [(0.75, 350), pytest.param(0.9, 2000, marks=pytest.mark.extras)])
 def test_weaker_motors_are_found(share, episodes):
-    found = compare_with_cpu("point-maze", partial(Sluggish, share=share), episodes=episodes, horizon=20)
-    assert smallest_p(found) < corrected_alpha(found)
-
-
-def test_an_unknown_environment_is_refused():
-    with pytest.raises(UnknownNameError, match="point-mazes"):
-        compare_with_cpu("point-mazes", CpuSimulator)
+    found = compare_with_cpu("point-maze", partial(Sluggish, share=share), episodes=episodes, horizon=15)
+    assert differ(found)
 
 
 @pytest.mark.extras
@@ -65,7 +56,7 @@ def test_an_unknown_environment_is_refused():
 def test_warp_on_the_cpu_plays_the_same_game(env):
     # With 96 episodes the two sets of seeds differ by chance on ant-push (p 2e-5), the CPU against itself as well.
     found = compare_with_cpu(env, partial(WarpSimulator, device="warp-cpu"), episodes=160, horizon=40)
-    assert smallest_p(found) > corrected_alpha(found)
+    assert not differ(found)
 
 
 @pytest.mark.gpu
@@ -73,4 +64,4 @@ def test_warp_on_the_cpu_plays_the_same_game(env):
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_a_card_plays_the_same_game(env, spec):
     found = compare_with_cpu(env, partial(WarpSimulator, device="cuda"), spec=spec, episodes=1000)
-    assert smallest_p(found) > corrected_alpha(found)
+    assert not differ(found)

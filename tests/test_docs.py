@@ -1,17 +1,15 @@
-"""The documentation builds without warnings, agrees with the code, has no broken links, and needs no network."""
+"""README and documentation agree with the code, have no broken links, need no network, and build without warnings."""
 
 import contextlib
 import importlib
-import importlib.util
 import io
 import os
 import pkgutil
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
+from html import unescape
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
@@ -30,57 +28,32 @@ pytestmark = pytest.mark.timeout(400)  # the first test that needs the site wait
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-SRC = ROOT / "src" / "shes"
 PAGES = sorted(DOCS.rglob("*.md"))
+each_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-class Page(HTMLParser):
-    """Ids, links, resources and tables of a built page."""
+def resources(text):
+    """Return what a built page loads."""
+    inline = re.findall(r"url\(([^)]*)\)", " ".join(re.findall(r'\sstyle="([^"]*)"', text)))
+    links = re.findall(r'<link\b[^>]*?\shref="([^"]*)"', text)
+    return [*re.findall(r'\s(?:src|srcset|data|poster)="([^"]+)"', text), *links, *inline]
 
-    def __init__(self, path):
-        super().__init__()
-        self.path = path
-        self.ids = set()
-        self.links = []
-        self.resources = []
-        self.tables = []
-        self._cell = None
-        self.feed(path.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag, attributes):
-        values = dict(attributes)
-        self.ids |= {values[key] for key in ("id", "name") if values.get(key)}
-        if tag in ("a", "area"):
-            self.links.append(values.get("href") or "")
-        elif tag == "link":
-            self.resources.append(values["href"])
-        self.resources += [values[key] for key in ("src", "srcset", "data", "poster") if values.get(key)]
-        self.resources += re.findall(r"url\(([^)]*)\)", values.get("style") or "")
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr":
-            self.tables[-1].append([])
-        elif tag in ("td", "th"):
-            self._cell = {"text": "", "links": []}
-            self.tables[-1][-1].append(self._cell)
-        elif tag == "a" and self._cell is not None:
-            self._cell["links"].append(values.get("href"))
-
-    def handle_data(self, data):
-        if self._cell is not None:
-            self._cell["text"] += data
-
-    def handle_endtag(self, tag):
-        if tag in ("td", "th"):
-            self._cell = None
+def tables(text):
+    """Return the text of every cell [table, row, column] of a built page."""
+    parts = (
+        re.findall(r"<tr.*?</tr>", table, re.DOTALL) for table in re.findall(r"<table.*?</table>", text, re.DOTALL)
+    )
+    cells = ([re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in rows] for rows in parts)
+    return [[[unescape(re.sub(r"<[^>]*>", "", cell)) for cell in row] for row in rows] for rows in cells]
 
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
     """Return the folder of the site, built with --strict."""
     for package in ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers"):
-        if importlib.util.find_spec(package) is None:
-            pytest.skip(f"the documentation needs {package}: pip install 'shes[docs]'")
+        pytest.importorskip(package, reason="pip install 'shes[docs]'")
     folder = tmp_path_factory.mktemp("docs") / "site"
     built = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
@@ -97,8 +70,8 @@ def site(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def pages(site):
-    """Return every built page by its path in the site."""
-    return {path.relative_to(site).as_posix(): Page(path) for path in sorted(site.rglob("*.html"))}
+    """Return the text of every built page by its path in the site."""
+    return {path.relative_to(site).as_posix(): path.read_text("utf-8") for path in sorted(site.rglob("*.html"))}
 
 
 @pytest.mark.extras
@@ -106,44 +79,26 @@ def test_every_page_is_built_and_no_python_file_is_copied(site, pages):
     expected = {path.relative_to(DOCS).with_suffix(".html").as_posix() for path in PAGES}
     expected |= {f"environments/{name}.html" for name in ENVIRONMENTS}
     assert expected <= set(pages)
-    assert set(COMMANDS) <= pages["reference/command-line.html"].ids
-    (table,) = pages["reference/shes.html"].tables
-    assert [row[0]["text"] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
+    assert all(f'id="{name}"' in pages["reference/command-line.html"] for name in COMMANDS)
+    (table,) = tables(pages["reference/shes.html"])
+    assert [row[0] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
     assert not list(site.rglob("*.py*"))
 
 
 @pytest.mark.extras
-def test_every_link_leads_to_a_file_and_to_an_anchor_in_it(site, pages):
-    broken = []
-    for name, page in pages.items():
-        if name == "404.html":  # its links are absolute, because it is served for any address
-            continue
-        for link in page.links:
-            parts = urlsplit(link)
-            if parts.scheme in ("http", "https", "mailto"):
-                continue
-            assert not parts.scheme, f"{name}: {link}"
-            target = (site / name).parent / unquote(parts.path) if parts.path else site / name
-            other = pages.get(os.path.relpath(target, site))
-            anchor = unquote(parts.fragment)
-            if not target.is_file() or (anchor and (other is None or anchor not in other.ids)):
-                broken.append(f"{name}: {link}")
-    assert not broken
-
-
-@pytest.mark.extras
 def test_nothing_is_loaded_from_another_host(site, pages):
-    loaded = [(name, resource) for name, page in pages.items() for resource in page.resources]
+    loaded = [(name, link) for name, text in pages.items() for link in resources(text)]
     for path in site.rglob("*.css"):
-        text = path.read_text(encoding="utf-8")
-        loaded += [(path.name, resource) for resource in re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", text)]
+        loaded += [
+            (path.name, link) for link in re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", path.read_text("utf-8"))
+        ]
     assert loaded
     assert not [(name, link) for name, link in loaded if re.match(r"([a-z]+:)?//", link)]
 
 
 @pytest.mark.extras
 @pytest.mark.timeout(1000)  # a browser opens every page
-def test_at_the_width_of_a_window_and_of_a_telephone_nothing_is_cut_or_broken(site, pages, tmp_path):
+def test_pages_fit_a_window_and_a_telephone(site, pages, tmp_path):
     browser = find_browser()
     if browser is None:
         pytest.skip("there is no Chromium here")
@@ -155,19 +110,19 @@ def test_at_the_width_of_a_window_and_of_a_telephone_nothing_is_cut_or_broken(si
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_an_environments_page_lists_its_observations_and_actions(site, pages, name):
     task = make_task(name, 1)
-    page = pages[f"environments/{name}.html"]
-    tables = {tuple(cell["text"] for cell in table[0][:2]): table[1:] for table in page.tables}
-    observed = [table[1:] for table in page.tables if table[0][1]["text"] == "name"]
+    found = tables(pages[f"environments/{name}.html"])
+    bodies = {tuple(head[:2]): rows for head, *rows in found}
+    observed = [rows for head, *rows in found if head[1] == "name"]
     for spec, rows in zip(task.specs, observed, strict=True):
         elements = make_task(name, 1, TaskOptions(spec=spec)).observation_spec
-        assert [row[1]["text"] for row in rows] == [element.name for element in elements]
-        assert [row[0]["text"] for row in rows] == [str(i) for i in range(len(elements))]
-    assert [row[1]["text"] for row in tables["index", "control"]] == list(task.body.controls)
-    facts = {row[0]["text"]: row[1]["text"] for row in tables["Gymnasium id", gymnasium_id(name)]}
+        assert [row[1] for row in rows] == [element.name for element in elements]
+        assert [row[0] for row in rows] == [str(i) for i in range(len(elements))]
+    assert [row[1] for row in bodies["index", "control"]] == list(task.body.controls)
+    facts = {row[0]: row[1] for row in bodies["Gymnasium id", gymnasium_id(name)]}
     assert facts["Score"] == type(task).description.score
-    assert {row[0]["text"] for row in tables["argument", "default"]} == setting_fields(task.Options).keys()
+    assert {row[0] for row in bodies["argument", "default"]} == setting_fields(task.Options).keys()
     assert (site / "environments" / f"{name}.png").stat().st_size > 1000
-    assert f"{name}.html" in pages["environments/index.html"].links
+    assert f'href="{name}.html"' in pages["environments/index.html"]
 
 
 def code_blocks(path, language):
@@ -190,7 +145,7 @@ def test_an_example_of_a_page_runs(page, number, tmp_path):
 
 
 @pytest.mark.parametrize("task", ["gather", "maze", "fall"])
-def test_the_body_of_a_page_stands_on_the_ground_of_every_kind_of_task(task):
+def test_the_body_of_a_page_stands_on_every_ground(task):
     (block,) = (each for each in code_blocks(DOCS / "extending.md", "python") if "class Car(Body)" in each)
     names = {"__name__": "example"}
     exec(block, names)  # noqa: S102 - the page is of this repository
@@ -232,7 +187,7 @@ def flags():
     )
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+@pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
     own = {"--logdir", "--head", "--address", "--oversubscribe"}  # of TensorBoard, Ray and MPI
@@ -243,23 +198,19 @@ def test_flags_and_commands_exist(path, flags):
     assert set(commands) <= set(COMMANDS)
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
-def test_code_that_a_page_links_to_exists(path):
-    for name in re.findall(r"\]\[(shes[\w.]*)\]", path.read_text(encoding="utf-8")):
+@each_page
+def test_code_and_tables_that_a_page_links_to_exist(path):
+    text = path.read_text(encoding="utf-8")
+    for name in re.findall(r"\]\[(shes[\w.]*)\]", text):
         pkgutil.resolve_name(name)
-
-
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
-def test_tables_that_a_page_links_to_are_in_the_repository(path):
-    links = re.findall(r"\]\(([\w/.-]+\.(?:csv|json))\)", path.read_text(encoding="utf-8"))
-    assert not [link for link in links if not (path.parent / link).is_file()]
-    assert links or path != DOCS / "paper.md"
+    tables = re.findall(r"\]\(([\w/.-]+\.(?:csv|json))\)", text)
+    assert not [link for link in tables if not (path.parent / link).is_file()]
+    assert tables or path != DOCS / "paper.md"
 
 
 def test_the_readme_names_every_guide():
     guides = {path.relative_to(DOCS).as_posix() for path in PAGES if path.parent.name != "reference"}
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"\]\(docs/([\w/-]+\.md)\)", readme))
+    named = set(re.findall(r"\]\(docs/([\w/-]+\.md)\)", README))
     assert guides - {"index.md", "changelog.md", "results.md"} <= named
 
 
@@ -275,3 +226,32 @@ def test_the_tables_of_a_page_are_those_of_the_results(monkeypatch, tables, page
     monkeypatch.syspath_prepend(DOCS)
     text = (DOCS / page).read_text(encoding="utf-8")
     assert importlib.import_module(tables).filled(text) == text, f"run: python docs/{tables}.py"
+
+
+@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\((?!http)([^)]+)\)", README))))
+def test_a_link_of_the_readme_leads_to_a_file_or_to_its_line(link):
+    path, _, anchor = link.partition("#L")
+    assert (ROOT / path).exists()
+    if anchor:
+        assert "line" in (ROOT / path).read_text(encoding="utf-8").splitlines()[int(anchor) - 1]
+
+
+def test_the_readme_is_short():
+    lines = README.splitlines()
+    assert len(lines) <= 120
+    assert [line for line in lines if len(line) > 120] == []
+
+
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    (example,) = code_blocks(ROOT / "README.md", "python")
+    for text, tiny in {"seed=0)": 'seed=0, generations=2, backend="serial")', "s=20)": "s=2, num_workers=1)"}.items():
+        assert text in example
+        example = example.replace(text, tiny, 1)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {})  # noqa: S102 - our own README
+    assert capsys.readouterr().out.splitlines()[-1] == "[1. 2. 3.]"
+
+
+@pytest.mark.parametrize("name", ["README.md", "results/README.md"])
+def test_nothing_is_left_to_be_filled_in(name):
+    assert not re.findall(r"\b[A-Z]+_[A-Z]+\b(?<!SHES_CACHE_DIR)", (ROOT / name).read_text(encoding="utf-8"))

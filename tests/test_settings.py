@@ -160,7 +160,7 @@ def test_an_argument_out_of_range_is_refused(call, error, message):
         call()
 
 
-def test_every_setting_is_explained_and_has_a_range_and_a_default():
+def test_every_setting_has_a_text_a_range_and_a_default():
     settings = known_settings()
     for name, setting in settings.items():
         assert setting.text.endswith("."), name

@@ -10,9 +10,10 @@ from shes.streams import EpisodePurpose, Purpose, episode_stream, stream
 
 def test_every_purpose_and_key_has_its_own_stream():
     keys = [(), (0,), (1,), (0, 0), (0, 1), (1, 0)]
-    streams = product((0, 1), Purpose, keys)
-    first = {stream(seed, purpose, *key).integers(2**63).item() for seed, purpose, key in streams}
-    assert len(first) == 2 * len(Purpose) * len(keys)
+    runs = [stream(seed, purpose, *key) for seed, purpose, key in product((0, 1), Purpose, keys)]
+    episodes = [episode_stream(seed, purpose) for seed, purpose in product((0, 1), EpisodePurpose)]
+    for streams in (runs, episodes):
+        assert len({each.integers(2**63).item() for each in streams}) == len(streams)
 
 
 def test_the_streams_of_a_run_never_change():
@@ -22,17 +23,8 @@ def test_the_streams_of_a_run_never_change():
         "statistics_sample": 4, "fresh_episodes": 5, "snapshots": 7, "branches": 8, "exploration": 9, "replay": 10,
         "archive": 11,
     }  # fmt: skip
-    assert stream(7, Purpose.BRANCHES, 3, 1).integers(10**6, size=3).tolist() == [208427, 417556, 366066]
-
-
-def test_every_episode_and_purpose_has_its_own_stream():
-    first = {episode_stream(seed, purpose).integers(2**63).item() for seed in (0, 1) for purpose in EpisodePurpose}
-    assert len(first) == 2 * len(EpisodePurpose)
     assert [purpose.name for purpose in EpisodePurpose] == ["RESET", "EXPLORATION_NOISE", "RANDOM_GOALS", "WANDERING"]
-
-
-def test_a_stream_starts_anew_at_every_call():
-    assert stream(1, Purpose.ARCHIVE, 2).random() == stream(1, Purpose.ARCHIVE, 2).random()
+    assert stream(7, Purpose.BRANCHES, 3, 1).integers(10**6, size=3).tolist() == [208427, 417556, 366066]
 
 
 def test_no_module_draws_twice_for_one_purpose():

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import operator
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -14,32 +13,22 @@ class Bound:
     """A bound of the value, or of each item of a tuple."""
 
     bound: float
-    compare: ClassVar[Callable[[float, float], bool]]
-    """Compares the value with the bound."""
 
 
 class Gt(Bound):
     """The value is greater than `bound`."""
 
-    compare = operator.gt
-
 
 class Ge(Bound):
     """The value is at least `bound`."""
-
-    compare = operator.ge
 
 
 class Lt(Bound):
     """The value is less than `bound`."""
 
-    compare = operator.lt
-
 
 class Le(Bound):
     """The value is at most `bound`."""
-
-    compare = operator.le
 
 
 @dataclass(frozen=True, eq=False)

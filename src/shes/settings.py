@@ -17,6 +17,7 @@ import ast
 import inspect
 import linecache
 import math
+import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -45,22 +46,15 @@ from shes.annotations import (
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
 
-__all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
-__all__ += [
-    "Shown",
-    "Unasked",
-    "checked",
-    "described",
-    "field_texts",
-    "flag",
-    "out_of_range",
-    "registered",
-    "setting_fields",
-]
+__all__ = [
+    "Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared", "Shown",
+    "Unasked", "checked", "flag", "out_of_range", "registered", "setting_fields",
+]  # fmt: skip
 
 NoteT = TypeVar("NoteT")
 F = TypeVar("F", bound=Callable[..., Any])
-SENTENCE_END = r"\.(?:\s|$)"
+_SENTENCE_END = r"\.(?:\s|$)"
+_COMPARISONS = {Gt: operator.gt, Ge: operator.ge, Lt: operator.lt, Le: operator.le}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +83,7 @@ class Setting:
     def text(self) -> str:
         """The docstring under the field, on one line, and what each of the choices is."""
         choices = "; ".join(
-            f"{name}: {re.split(SENTENCE_END, inspect.getdoc(cls) or '', maxsplit=1)[0]}"
+            f"{name}: {re.split(_SENTENCE_END, inspect.getdoc(cls) or '', maxsplit=1)[0]}"
             for note in self.all_of(Choices)
             if note.is_described
             for name, cls in registered(note.names).items()
@@ -165,7 +159,7 @@ class Setting:
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
-        if not all(note.compare(value, note.bound) for note in self.all_of(Bound)):
+        if not all(_COMPARISONS[type(note)](value, note.bound) for note in self.all_of(Bound)):
             return False
         if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
             raise out_of_range(self.name, value, "less than 2**63", self.flag)

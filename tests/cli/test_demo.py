@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -21,9 +22,11 @@ def place(tmp_path, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "off")
 
 
-def test_runs_are_trained_compared_and_drawn(tmp_path, capsys, monkeypatch):
+def test_runs_are_trained_compared_and_drawn(capsys, monkeypatch):
     drawn, render = [], shes.render
     monkeypatch.setattr(shes, "render", lambda *_, **given: drawn.append(given) or render(*_, **given))
+    monkeypatch.setitem(vars(shes), "plot", lambda _, path: path)  # before it imports Matplotlib
+    monkeypatch.setattr(shes, "evaluate", partial(shes.evaluate, num_workers=1))
     walking = TINY._replace(name="walking", env="point-flagrun", column="returns", result="return")
     assert demo.play("what happens", [walking, TINY]) == 0
     out = capsys.readouterr().out
@@ -31,7 +34,7 @@ def test_runs_are_trained_compared_and_drawn(tmp_path, capsys, monkeypatch):
     for stage, given in zip((walking, TINY), drawn, strict=True):
         run = folder / stage.name
         before, after = (
-            getattr(shes.evaluate(run, episodes=50, checkpoint=name, seed=0, num_workers=1), stage.column)
+            getattr(shes.evaluate(run, episodes=50, checkpoint=name, seed=0), stage.column)
             for name in given["checkpoints"]
         )
         means = f"{before.mean():.2f} before training, {after.mean():.2f} after."

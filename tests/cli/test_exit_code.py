@@ -7,39 +7,30 @@ import sys
 
 import pytest
 
-from shes.cli import main, parsing
+from shes.cli import main
 from shes.cli.program import BROKEN_PIPE, INTERRUPTED, exit_code
 from shes.console import LineConsole
 from shes.errors import ConfigError, WorkerError
-from shes.types import Listing, Table, facts_listing
+from shes.types import Table
 from tests.e2e import runs
 
 BRACKETS = "[b]x[/b] [/q] pip install 'shes[robotics]'"
 
 
-def shown(capsys, listing):
-    """Return what a command that returns `listing` prints, and its errors."""
-
-    def say(path: str = "") -> Listing:
-        """Say."""
-        return listing
-
-    assert parsing.call("say", say, []) == 0
-    return capsys.readouterr()
-
-
 def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    facts = facts_listing({BRACKETS: BRACKETS})
-    assert shown(capsys, Listing({}, [*facts.parts, BRACKETS])).out.count(BRACKETS) == 3
+    LineConsole().print_table(Table((), [(BRACKETS, BRACKETS)]))
+    LineConsole().print_line(BRACKETS)
+    assert capsys.readouterr().out.count(BRACKETS) == 3
     LineConsole(stderr=True).print_error(BRACKETS)
     assert capsys.readouterr().err == f"Error: {BRACKETS}\n"
 
 
-def test_a_table_is_broken_between_words_and_in_its_widest_column(capsys, monkeypatch):
+def test_a_table_breaks_between_words_and_in_its_widest_column(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     rows = [("runs/" + "long-" * 9, "point-gather", "5.00 ± 0.11"), ("b", "ant-maze", "-")]
-    out = shown(capsys, Listing({}, [Table(("run", "environment", "best score"), rows)])).out
+    LineConsole().print_table(Table(("run", "environment", "best score"), rows))
+    out = capsys.readouterr().out
     lines = out.splitlines()
     assert len({len(line) for line in lines}) == 1
     assert len(lines[0]) <= 50
@@ -57,13 +48,10 @@ def test_characters_that_an_encoding_lacks_are_replaced(monkeypatch):
         assert stream.buffer.getvalue().decode(encoding) == f"{text}\n"
 
 
-@pytest.mark.parametrize("columns", ["0", "1", "5"])
-def test_a_terminal_without_width_shows_tables_and_help(capsys, monkeypatch, columns):
-    monkeypatch.setenv("COLUMNS", columns)
-    assert main(["info", "ant-gather"]) == 0
-    assert "agent" in capsys.readouterr().out
-    assert main(["watch", "--help"]) == 0
-    assert "usage: shes watch" in " ".join(capsys.readouterr().out.split())
+def test_a_terminal_without_width_shows_tables_and_help(shes):
+    for columns in (0, 1, 5):
+        assert "agent" in shes("info", "ant-gather", columns=columns)
+        assert "usage: shes watch" in " ".join(shes("watch", "--help", columns=columns).split())
 
 
 class Broken(io.StringIO):
@@ -98,6 +86,11 @@ def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, Broken())
     assert exit_code(work) == code
+
+
+def test_memory_that_runs_out_is_one_line(capsys):
+    assert exit_code(fail(MemoryError())) == 2
+    assert capsys.readouterr().err.startswith("Error: not enough memory (no more is free). Reduce the size")
 
 
 TRAIN = ["train", "point-gather", *runs.flags(**{**runs.TINY, "generations": 2})]

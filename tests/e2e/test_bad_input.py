@@ -1,6 +1,6 @@
 """What the user can get wrong: a message with value, choices and fix, the exit code of the design, and nothing lost.
 
-Values of settings are in runs/test_config.py, those of other arguments in cli/test_arguments.py.
+Values of settings are in runs/test_config.py, those of other arguments in cli/test_commands.py.
 """
 
 import errno

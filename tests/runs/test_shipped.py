@@ -70,7 +70,7 @@ def test_where_no_agent_is_shipped_nothing_is_said_of_them(elsewhere, monkeypatc
         read_agent("x")
 
 
-# Use; more is in tests/test_cli.py.
+# Use; more is in tests/cli/test_commands.py.
 
 
 @pytest.mark.render

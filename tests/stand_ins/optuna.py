@@ -1,4 +1,4 @@
-"""Stands in for Optuna where it is not installed: the calls of `examples/optuna_search.py`."""
+"""Stands in for Optuna: the calls of `examples/optuna_search.py`."""
 
 import math
 from types import SimpleNamespace

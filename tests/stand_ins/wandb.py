@@ -1,4 +1,4 @@
-"""Stands in for wandb where it is not installed: the calls of `examples/wandb_logging.py`, checked as wandb checks."""
+"""Stands in for wandb: the calls of `examples/wandb_logging.py`, checked as wandb checks."""
 
 import numbers
 

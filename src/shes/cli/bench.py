@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import mujoco
 import numpy as np
 
-from shes.backends.backend import SerialBackend
+from shes.backends.backend import Backend, SerialBackend
 from shes.envs.named_environments import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
@@ -71,39 +71,39 @@ def bench_rollout(
             "environments, e.g. ant-gather."
         )
     algorithm = evolution_strategy(config)
-    plan, settings, state = algorithm.plan(), algorithm.hyperparameters, algorithm.start(config.run.seed)
-    table = algorithm.table.on(algorithm.problem.xp)
     physics = record_generation(algorithm, config.run.seed)
-    bare, whole = list[float](), list[float]()
     is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
-    with (
-        on_one_core() if is_alone else nullcontext(),
-        build_backend(config, plan) as backend,
-        ThreadPoolExecutor(backend.num_workers) as pool,
-    ):
-        next(evolve(state, settings, table, backend, pool))  # builds the environments and warms the caches
-        before = physics.steps_per_s(replay_s)
-        start = perf_counter()
-        while len(whole) < repeats or perf_counter() - start < seconds:
-            report = next(evolve(state, settings, table, backend, pool))
-            whole.append(num_steps(report.populations) / (report.rollout_s + report.update_s))
-            after = physics.steps_per_s(replay_s)
-            bare.append((before + after) / 2)  # the speed of a shared machine drifts
-            before = after
+    with on_one_core() if is_alone else nullcontext(), build_backend(config, algorithm.plan()) as backend:
         workers = backend.num_workers
+        pairs, start = list[tuple[float, float]](), perf_counter()
+        for pair in _speeds(algorithm, config.run.seed, backend, partial(physics.steps_per_s, replay_s)):
+            pairs.append(pair)
+            if len(pairs) >= repeats and perf_counter() - start >= seconds:
+                break
+    named = ("env", "hidden", "integrator", "population_size", "episodes_per_policy", "device")
     return {
-        "env": config.run.env,
-        "hidden": list(config.values["hidden"]),
-        "integrator": plan.training.integrator,
-        "population_size": config.values["population_size"],
-        "episodes_per_policy": config.values["episodes_per_policy"],
-        "device": config.workers.device,
+        **{name: config.values[name] for name in named},
         "num_workers": workers,
-        "generations": len(whole),
-        "env_steps_per_s": statistics.median(whole),
-        "bare_steps_per_s": statistics.median(bare),
-        "ratio": statistics.median(w / b for w, b in zip(whole, bare, strict=True)) / workers,
+        "generations": len(pairs),
+        "env_steps_per_s": statistics.median(whole for whole, _ in pairs),
+        "bare_steps_per_s": statistics.median(bare for _, bare in pairs),
+        "ratio": statistics.median(whole / bare for whole, bare in pairs) / workers,
     }
+
+
+def _speeds(
+    algorithm: EvolutionAlgorithm, seed: int, backend: Backend, replay: Callable[[], float]
+) -> Iterator[tuple[float, float]]:
+    """Yield the steps per second of first generations, each with the mean of the replays before and after it."""
+    settings, state, table = algorithm.hyperparameters, algorithm.start(seed), algorithm.table.on(algorithm.problem.xp)
+    with ThreadPoolExecutor(backend.num_workers) as pool:
+        next(evolve(state, settings, table, backend, pool))  # builds the environments and warms the caches
+        before = replay()
+        while True:
+            report = next(evolve(state, settings, table, backend, pool))
+            after = replay()
+            yield num_steps(report.populations) / (report.rollout_s + report.update_s), (before + after) / 2
+            before = after  # the speed of a shared machine drifts
 
 
 def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:

@@ -2,9 +2,9 @@
 
 Parameters without a default are positional, and so are the first one and an environment; the others are flags. A
 parameter `settings` stands for the settings of a run, which become flags unless the command names them itself: in a
-command that takes an environment all of them, in another those with which a run can be resumed. A command returns an
-exit code, or what is printed: a listing, or an object that has one, which `--json` prints as JSON; or the paths of
-files that it has written.
+command that takes an environment all of them, in another those with which a run can be resumed. A command returns what
+is printed: a listing, or an object that has one, which `--json` prints as JSON; or the paths of files that it has
+written.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from shes.cli.program import COMMANDS, REMOVED, TERMINATED, find_command
+from shes.cli.program import COMMANDS, TERMINATED, find_command
 from shes.console import LineConsole
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
@@ -37,6 +37,7 @@ from shes.types import Listing
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
+_HELP = {"-h", "--help", _HELP_ALL}
 _WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}  # into files
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs)
 _VALUES = ConstructorRegistry()
@@ -48,38 +49,28 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
     env = DEFAULT_ENV
     if "env" in inspect.signature(function).parameters:
         env, words = _environment_first(words)
-    shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
-    command = _command(name, function, env, words, shows_help=shows_help)
-    if shows_help:
+    command = _command(name, function, env, words)
+    if not _HELP.isdisjoint(words):
         words = ["--help"]
     else:
         _check_flags(words, command)
-    return _exit_code(lambda: tyro.cli(command, prog=f"shes {name}", args=words, config=_CONFIG, registry=_VALUES))
+    try:
+        return tyro.cli(command, prog=f"shes {name}", args=words, config=_CONFIG, registry=_VALUES)
+    except SystemExit as end:  # of tyro, which has printed a help or an error
+        return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
 
 
-def completion(shell: Literal["bash", "zsh", "fish"]) -> int:
+def completion(shell: Literal["bash", "zsh", "fish"]) -> None:
     """Print a script by which a shell completes commands, flags and choices.
 
     For bash: shes completion bash > ~/.local/share/bash-completion/completions/shes
     """
-    commands = {
-        name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL], shows_help=True) for name in COMMANDS
-    }
+    commands = {name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL]) for name in COMMANDS}
     given = {"prog": "shes", "args": ["--tyro-write-completion", shell, "-"], "config": _CONFIG, "registry": _VALUES}
-    return _exit_code(lambda: tyro.extras.subcommand_cli_from_dict(commands, **given))
+    tyro.extras.subcommand_cli_from_dict(commands, **given)
 
 
-def _exit_code(parse: Callable[[], int]) -> int:
-    """Return the exit code of a command, or of tyro, which has printed a help or an error."""
-    try:
-        return parse()
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
-
-
-def _command(
-    name: str, function: Callable[..., Any], env: str, words: Sequence[str], *, shows_help: bool
-) -> Callable[..., int]:
+def _command(name: str, function: Callable[..., Any], env: str, words: Sequence[str]) -> Callable[..., int]:
     """Return `function` as tyro reads it: it prints what `function` returns, and returns the exit code."""
 
     def command(**values: Any) -> int:
@@ -94,7 +85,7 @@ def _command(
     parameters = _parameters(function)
     shows_steps = parameters.pop("on_step", None) is not None
     if "settings" in parameters:
-        kind = _settings_type(parameters, _asked_config(env, words), words if shows_help else None)
+        kind = _settings_type(parameters, _asked_config(env, words), words)
         parameters["settings"] = parameters["settings"].replace(annotation=Annotated[kind, tyro.conf.arg(name="")])
     command.__annotations__ = {name: each.annotation for name, each in parameters.items()}
     command.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
@@ -112,15 +103,7 @@ def _steps_shown() -> Iterator[dict[str, Callable[[int, int], None]]]:
 
 
 def _show(found: Any, kind: str, *, as_json: bool) -> int:
-    """Print what a command returns; return the exit code.
-
-    Args:
-        found: An exit code, which is not printed; a listing, or an object that has one; or a path or several, or None.
-        kind: What is at the paths.
-        as_json: Whether to print the listing as JSON.
-    """
-    if isinstance(found, int):
-        return found
+    """Print a listing, an object that has one, or paths, at which is `kind`; return the exit code."""
     listing = found.listing() if hasattr(found, "listing") else found
     if not isinstance(listing, Listing):
         files = () if found is None else found if isinstance(found, tuple) else (found,)
@@ -152,17 +135,14 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def _check_flags(words: Sequence[str], command: Callable[..., int]) -> None:
-    """Raise ConfigError for a flag that was removed, or one of several values that is given twice."""
-    known = known_settings()
-    several = {each.flag for each in known.values() if each.kind is tuple}
+    """Raise ConfigError for a flag of several values that is given twice."""
+    several = {each.flag for each in known_settings().values() if each.kind is tuple}
     for name, kind in command.__annotations__.items():
         first, *notes = get_args(kind) or (None,)
         if get_origin(first) is tuple and tyro.conf.UseAppendAction not in notes:
             several.add(flag(name))
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
     for each in given:
-        if each in REMOVED and each not in {setting.flag for setting in known.values()}:
-            raise ConfigError(f"{each} was removed. Instead, {REMOVED[each]}.")
         if each in several and given.count(each) > 1:
             raise ConfigError(f"{each} is given twice. Give it once, with all its values.")
 
@@ -211,24 +191,25 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
     return make_config(env, given.get("preset", RunSettings.preset), asked)
 
 
-def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequence[str] | None) -> Any:
+def _settings_type(named: Mapping[str, Any], config: TrainConfig, words: Sequence[str]) -> Any:
     """Return the type of the settings that are flags of a command with parameters `named` on a run like `config`.
 
-    With the words `asking` for help, it has a group for each section, or the everyday one. Otherwise it includes every
-    known setting; the configuration rejects those that do not apply.
+    If `words` ask for help, it has a group for each section, or the everyday one. Otherwise it includes every known
+    setting; the configuration rejects those that do not apply.
     """
+    is_parsed = _HELP.isdisjoint(words)
     takes_env, sections = "env" in named, settings_by_section(config.run)
     here = by_name(sections) if takes_env else resumable_settings()
-    offered = {**(known_settings() if asking is None else {}), **here}
+    offered = {**(known_settings() if is_parsed else {}), **here}
     offered = {name: each for name, each in offered.items() if name not in {*named, "env"}}
     values = dict.fromkeys(offered, "as before")
     if takes_env:
         values = {name: config.values.get(name, each.default) for name, each in offered.items()}
-    if asking is None:
+    if is_parsed:
         return _group("", offered, values)
     if not takes_env:
         groups = {"settings": _group("A setting that is not given keeps its value.", offered, values)}
-    elif _HELP_ALL not in asking:
+    elif _HELP_ALL not in words:
         title = f"Values of preset {config.run.preset} for {config.run.env}. All {len(here)} settings: {_HELP_ALL}."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
         groups = {"everyday": _group(title, everyday, values, is_brief=True)}

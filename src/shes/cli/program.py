@@ -34,34 +34,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Function of every command, below `shes`, and its line in the overview."""
 EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 """Flags of every command."""
-REMOVED = {
-    "experiment": "run python -m experiments NAME in a checkout",
-    "bench speedup": "run python benchmarks/speedup.py in a checkout",
-    "bench update": "see column update_s of progress.csv",
-    "--sigma-schedule": "set --sigma-end and --schedule-generations",
-    "--learning-rate-schedule": "set --learning-rate-end and --schedule-generations",
-    "--episodes-schedule": "set --episodes-per-policy",
-    "--episodes-end": "set --episodes-per-policy",
-    "--weight-decay-form": "set --weight-decay; 0 is none",
-    "--controller-weight-decay": "set --weight-decay; 0 is none",
-    "--hold-tied": "set --rank-ties average, which keeps tied levels unchanged, or index",
-    "--momentum": "set --optimizer sgd, whose momentum is 0.9",
-    "--primitive-fitness-shaping": "set --fitness-shaping; intervals have pair_rank",
-    "--hide-position": "set --primitive-view egocentric",
-    "--controller-checkpoint": "the checkpoint best is taken",
-    "--max-diverged-generations": "it is always 10",
-    "--evaluation-reset-noise": "it is always 0.1",
-    "--worker-warning-s": "it is always 60 s",
-    "--worker-timeout-s": "it is always 600 s",
-    "--ray-address": "set the environment variable RAY_ADDRESS",
-    "--critic-loss": "it is always the Huber loss",
-    "--target-noise": "it is always 0.2",
-    "--target-noise-clip": "it is always 0.5",
-    "--goal-candidates": "it is always 10",
-    "--labels": "runs have the names of their folders",
-    "--no-sensors": "sensors are always shown",
-}
-"""Commands and flags of earlier versions, and what to do instead."""
 INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
 """Exit codes after Ctrl-C, if the reader of the output has gone, and after SIGTERM."""
 _LEAST_COLUMNS = 20  # tables and help need some width
@@ -114,9 +86,6 @@ def _run(words: Sequence[str]) -> int:
     if name == "--version":
         print(f"shes {shes.__version__}")
         return 0
-    for each in (name, " ".join(words[:2])):
-        if each in REMOVED and not each.startswith("-"):
-            raise ConfigError(f"shes {each} was removed. Instead, {REMOVED[each]}.")
     if name.startswith("-"):
         raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
     function = find_command(name)

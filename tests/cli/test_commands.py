@@ -1,4 +1,4 @@
-"""The command line: what it prints, aliases, JSON, modules of the user. Wrong input is in e2e/test_bad_input.py."""
+"""What the commands print, their arguments, and modules of the user. Wrong input is in e2e/test_bad_input.py."""
 
 import io
 import json
@@ -16,36 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.ship import ship
 from shes.cli import main
 from shes.cli.program import find_command
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS
-from shes.errors import ConfigError
-from shes.runs import shipped
+from shes.errors import ConfigError, UnknownNameError
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import read_agent
+from shes.runs.shipped import read_agent, shipped_names
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)
-
-
-@pytest.fixture(scope="module")
-def tiny_run(tmp_path_factory):
-    """Folder of a finished tiny run. Not to be changed."""
-    return runs.train_tiny(tmp_path_factory.mktemp("tiny") / "run")
-
-
-@pytest.fixture
-def shes(capsys):
-    """Return a function that runs a command line that succeeds, and returns what it printed."""
-
-    def run(*words):
-        code = main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        assert (code, err) == (0, "")
-        return out
-
-    return run
 
 
 def test_envs_lists_the_registry(shes):
@@ -57,43 +36,21 @@ def test_envs_lists_the_registry(shes):
     assert all(row[word] for row in rows for word in ("about", "reward", "ends", "score"))
 
 
-@pytest.fixture
-def agent(tiny_run, tmp_path, monkeypatch):
-    """The name of a shipped agent, the only one."""
-    told = {"description": "Collects food.", "commands": ["shes train point-gather"]}
-    ship(tiny_run, "point-food", **told, episodes=2, num_workers=1, into=tmp_path / "agents")
-    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    (tmp_path / "work").mkdir()
-    monkeypatch.chdir(tmp_path / "work")
-    return "point-food"
-
-
-def test_list_shows_runs_and_shipped_agents(shes, agent, tiny_run, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
-    text = shes("list", tiny_run.parent)
+def test_list_shows_runs_and_shipped_agents(shes, tiny_run, tmp_path, monkeypatch):
+    text = shes("list", tiny_run.parent, columns=160)
     assert re.search(r"│ \S+run +│ point-gather +│ 4 / 4 +│ -?[\d.]+ +│ finished", text)
-    fresh = read_agent(agent).evaluation
+    told = read_agent("ant-gather")
+    compared = (told.evaluation, told.evaluation.constant, told.evaluation.random)
     scores = " +│ ".join(
-        f"{each.score_mean:.2f} ± {each.score_std / math.sqrt(each.episodes):.2f}"
-        for each in (fresh, fresh.constant, fresh.random)
+        f"{each.score_mean:.2f} ± {each.score_std / math.sqrt(each.episodes):.2f}" for each in compared
     )
-    assert re.search(rf"point-food +│ point-gather +│ {scores} +│ 0\.0 +│", text)
-    assert f"{agent} Collects food.\n" in text
-    (line,) = shes("list", tiny_run.parent, "--json").splitlines()
-    found = json.loads(line)
-    assert found["agents"] == {agent: read_agent(agent).to_dict()}
+    assert re.search(rf"ant-gather +│ ant-gather +│ {scores} +│ ", text)
+    assert re.search(rf"^ant-gather +{re.escape(told.description)}\.$", text, re.MULTILINE)
+    found = json.loads(shes("list", tiny_run.parent, "--json"))
+    assert found["agents"] == {name: read_agent(name).to_dict() for name in shipped_names()}
     assert [(run["env"], run["generation"], run["state"]) for run in found["runs"]] == [("point-gather", 4, "finished")]
+    monkeypatch.chdir(tmp_path)
     assert "There is no run below runs." in shes("list")
-
-
-def test_list_shows_names_whole_on_a_narrow_terminal(shes, agent, tiny_run, tmp_path, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    copy = shutil.copytree(shipped.AGENTS / agent, shipped.AGENTS / "point-gather-coevolved") / "agent.json"
-    copy.write_text(copy.read_text().replace("Collects food.", "Collects food of every kind. " * 3))
-    shutil.copytree(tiny_run, tmp_path / "runs" / ("long-" * 12))
-    text = shes("list", tmp_path / "runs")
-    assert "│ point-gather-coevolved │" in text
-    assert "…" not in text
 
 
 def change_run(path, **changes):
@@ -122,8 +79,7 @@ LISTED = {
 }
 
 
-def test_list_tells_states_and_why_runs_are_unreadable(shes, tiny_run, tmp_path, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "200")
+def test_list_tells_states_and_why_runs_are_unreadable(shes, tiny_run, tmp_path):
     for name, (_, change) in {**LISTED, "locked": LISTED["longer"]}.items():
         change(shutil.copytree(tiny_run, tmp_path / name))
     (tmp_path / "another").mkdir()
@@ -137,18 +93,9 @@ def test_list_tells_states_and_why_runs_are_unreadable(shes, tiny_run, tmp_path,
     assert (theirs["env"], theirs["algorithm"]) == ("point-gather", "their-own")
     reached = ("generation", "generations", "env_steps", "best_score")
     assert [theirs[name] for name in reached] == [found["whole"][name] for name in reached]
-    text = shes("list", tmp_path)
+    text = shes("list", tmp_path, columns=200)
     assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unreadable", text)
     assert re.search(r"theirs is unreadable: .*unknown algorithm 'their-own'(?s:.*)--import MODULE", text)
-
-
-def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
-    def envs():
-        raise MemoryError
-
-    monkeypatch.setattr("shes.envs.catalogue.list_environments", envs)
-    assert main(["envs"]) == 2
-    assert re.fullmatch(r"Error: not enough memory \(no more is free\)\. .*\n", capsys.readouterr().err)
 
 
 def test_info_shows_what_a_run_is(shes, tiny_run):
@@ -160,45 +107,17 @@ def test_info_shows_what_a_run_is(shes, tiny_run):
     assert json.loads(shes("info", tiny_run, "--json"))["config"]["evolution"]["sigma"] == 0.07
 
 
-def test_info_shows_how_a_shipped_agent_was_trained(shes, agent):
-    told, text = read_agent(agent), shes("info", agent)
+def test_info_shows_how_a_shipped_agent_was_trained(shes):
+    told, text = read_agent("ant-gather"), shes("info", "ant-gather")
     assert f"{told.evaluation.score} over {told.evaluation.episodes} fresh episodes" in text
     for other in (told.evaluation.constant, told.evaluation.random):
         assert re.search(rf"score, {other.controller} +│ {other.score} ", text)
     assert f"Trained by:\n{told.commands[0]}\n" in text
-    assert json.loads(shes("info", agent, "--json")).items() >= told.to_dict().items()
+    assert json.loads(shes("info", "ant-gather", "--json")).items() >= told.to_dict().items()
 
 
-def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
-    one, other = (
-        json.loads(shes("evaluate", run, "--episodes", 2, "--workers", 1, "--json")) for run in (agent, tiny_run)
-    )
-    assert one == {**other, "run": agent}
-    assert shes("plot", agent, tiny_run, "--out", "b.pdf", "--x", "generation") == "Learning curves: b.pdf\n"
-    shes("train", "point-gather", *TINY, "--primitive-hidden", 4, "--primitive", agent, "--out", "run")
-    assert RunFolder.open("run").read_config().transfer.primitive == agent
-    assert {path.name for path in Path().iterdir()} == {"b.pdf", "run"}
-
-
-NO_RUNS = {
-    "resume point-food": r"Error: point-food is a shipped agent, part of the package.*--primitive point-food",
-    "evaluate ./point-food": r"Error: point-food does not exist\. Give the folder .*\(its --out\)\.$",
-    "evaluate point-fod": r"Error: point-fod does not exist\. .*shipped agent: point-food\. Did you mean 'po",
-}
-
-
-@pytest.mark.usefixtures("agent")
-@pytest.mark.parametrize("line", NO_RUNS)
-def test_a_shipped_agent_is_not_resumed_and_a_path_is_no_name(capsys, line):
-    assert main(line.split()) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert re.search(NO_RUNS[line], err)
-
-
-@pytest.mark.parametrize("name", ["run", "[b] [/b]"])
-def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_run, name):
-    path = tmp_path / name
+def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_run):
+    path = tmp_path / "[b] [/b]"
     text = shes("train", "point-gather", *TINY, "--out", path)
     assert f"Training point-gather (smoke) on this process. Run folder: {path}\n" in text
     assert re.search(r"Done: 4 generations, best evaluation score -?[\d.]+ \(generation \d\)\.\n", text)
@@ -216,20 +135,13 @@ def test_train_makes_a_folder_below_runs_if_none_is_named(shes, tmp_path, monkey
     assert re.search(r"command +│ python -m shes train point-gather ", shes("info", path))
 
 
-@pytest.mark.parametrize(
-    ("ended", "more", "generation", "word"),
-    [
-        (["--minutes", "1e-6"], [], 0, "Stopped: 0 of 4"),
-        (["--generations", 2], ["--generations", 4, "--workers", 3], 2, "Done: 2"),
-    ],
-)
-def test_resume_goes_on_where_a_run_ended(shes, tmp_path, tiny_run, ended, more, generation, word):
+def test_resume_goes_on_where_a_run_ended(shes, tmp_path, tiny_run):
     path = tmp_path / "run"
-    assert f"{word} generations" in shes("train", "point-gather", *TINY, *ended, "--out", path)
-    text = shes("resume", path, *more)
-    assert ("after generation 2. Run folder" in text) is (generation == 2)
-    assert RunFolder.open(path).read_config().workers.num_workers == (3 if more else 0)
+    assert "Done: 2 generations" in shes("train", "point-gather", *TINY, "--generations", 2, "--out", path)
+    text = shes("resume", path, "--generations", 4, "--workers", 3)
+    assert "after generation 2. Run folder" in text
     assert "Done: 4 generations" in text
+    assert RunFolder.open(path).read_config().workers.num_workers == 3
     assert runs.differences(tiny_run, path) == []
 
 
@@ -240,9 +152,6 @@ def test_evaluate_prints_a_table_or_json(shes, tiny_run):
     found = json.loads(line)
     assert (found["run"], found["checkpoint"], found["episodes"]) == (str(tiny_run), "last", 3)
     assert {"score_mean", "score_std", "return_mean", "success_rate"} <= set(found)
-
-
-# Videos and windows: what is behind them has its own tests.
 
 
 HANDED_ON = {
@@ -271,6 +180,50 @@ def test_a_command_hands_on_its_flags(monkeypatch, line):
     monkeypatch.setattr(sys.modules[function.__module__], command, fake)
     assert main(line.split()) == 0
     assert given == [HANDED_ON[line]]
+
+
+# Arguments are checked before any work, with one message for the command line and for Python.
+
+GIVEN = {"compare": ("no-run", "no-other")}
+"""Arguments of a command; for the others, the run `no-run`, which does not exist."""
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "values", "allowed"),
+    [
+        ("compare", "episodes", [1], "a whole number of at least 2"),
+        ("evaluate", "episodes", [0], "a whole number of at least 1"),
+        ("report", "episodes", [0], "a whole number of at least 1"),
+        ("report", "num_workers", [-1], "a whole number of at least 0"),
+        ("render", "episode", [-1, 100_000], "a whole number of at least 0 and less than 100000"),
+        ("render", "steps", [0, 100_000], "a whole number of at least 1 and less than 100000"),
+        ("render", "size", [63, 1081], "a whole number between 64 and 1080"),
+        ("render", "size", [65], "an even number of pixels"),
+        ("watch", "seed", [-1], "a whole number of at least 0"),
+        *((each, "seed", [-1], "a whole number of at least 0") for each in ("compare", "evaluate", "render", "report")),
+    ],
+)
+def test_a_number_out_of_range_is_refused_alike(capsys, tmp_path, monkeypatch, command, name, values, allowed):
+    monkeypatch.chdir(tmp_path)
+    given, flag = GIVEN.get(command, ("no-run",)), f"--{name.removeprefix('num_')}"
+    for value in values:
+        message = f"{name} must be {allowed}, got {value}. Set {flag}."
+        with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+            find_command(command)(*given, **{name: value})
+        assert main([command, *given, flag, str(value)]) == 2
+        assert capsys.readouterr() == ("", f"Error: {message}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "line", ["compare measure", "evaluate device", "evaluate targets", "export format", "plot x", "render camera"]
+)
+def test_an_unknown_name_is_refused(tmp_path, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    command, name = line.split()
+    with pytest.raises(UnknownNameError, match=rf"^unknown {name} 'nonesuch'\. .*Set --{name}\.$"):
+        find_command(command)(*GIVEN.get(command, ("no-run",)), **{name: "nonesuch"})
+    assert list(tmp_path.iterdir()) == []
 
 
 # Modules of the user.
@@ -333,9 +286,6 @@ def test_a_module_that_fails_is_an_error_that_names_it(capsys, own_module, conte
 
 
 def test_the_installed_command_is_the_module():
-    shes = Path(sys.executable).with_name("shes")
-    found = {
-        subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout
-        for command in ([str(shes)], runs.COMMAND)
-    }
-    assert found == {f"shes {version('shes')}\n"}
+    for command in ([Path(sys.executable).with_name("shes")], runs.COMMAND):
+        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
+        assert done.stdout == f"shes {version('shes')}\n"
