@@ -1,18 +1,13 @@
-"""Three-dimensional pictures, which need OpenGL; and the looks of worlds and the following camera, which do not."""
-
-import os
+"""The looks of worlds and the camera that follows the robot, which need no OpenGL."""
 
 import mujoco
 import numpy as np
 import pytest
 
-from shes.drawing.make_drawer import find_opengl
-from shes.drawing.mujoco_renderer import FOLLOW_FIELD_OF_VIEW_DEG, MujocoRenderer, decorate, follow
-from shes.drawing.renderer import between, extent_of
-from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
-from shes.envs.named_environments import ENVIRONMENTS, make_task
+from shes.drawing.mujoco_renderer import FOLLOW_FIELD_OF_VIEW_DEG, decorate, follow
+from shes.drawing.renderer import extent_of
+from shes.envs.named_environments import make_task
 
-SIZE = 200
 PLACES = [
     *(("ant-gather", place) for place in [(0, 0), (0, -11.3), (11.3, 0), (-11.3, -11.3)]),
     *(("point-gather", place) for place in [(0, -11.7), (11.7, 11.7)]),
@@ -20,60 +15,6 @@ PLACES = [
     *(("ant-push", place) for place in [(0, -3.2), (0, 12.8), (0, 19)]),
     *(("ant-fall", place) for place in [(0, 0), (0, 12.8, 0.75), (8, 12.8, 0.75)]),
 ]
-
-
-def make(name="ant-gather"):
-    found = find_opengl()
-    if found is None:
-        pytest.skip("there is no OpenGL here (EGL or OSMesa)")
-    task = make_task(name, 1)
-    task.reset(np.array([0]), [1])
-    return task, MujocoRenderer(task.world_to_draw(), SIZE, SIZE, found)
-
-
-def share(picture, color):
-    """Return the share of pixels with about the hue of `color`."""
-    wanted = np.array(color[:3]) / np.linalg.norm(color[:3])
-    seen = picture / np.maximum(np.linalg.norm(picture, axis=2, keepdims=True), 1)
-    return float(((seen @ wanted) > 0.985).mean())
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("name", ENVIRONMENTS)
-@pytest.mark.parametrize("camera", ["follow", "top"])
-def test_every_environment_is_drawn_with_its_robot(name, camera):
-    task, renderer = make(name)
-    picture = renderer.draw(task.sim.qpos[0], task.markers(0), camera)
-    renderer.close()
-    assert (picture.shape, picture.dtype) == ((SIZE, SIZE, 3), np.uint8)
-    assert picture.std() > 10
-    assert share(picture, ROBOT) > 1e-4
-
-
-@pytest.mark.render
-def test_the_opengl_found_is_used_whatever_the_environment_says(monkeypatch):
-    monkeypatch.setenv("PYOPENGL_PLATFORM", "other")
-    task, renderer = make("point-gather")
-    assert renderer.draw(task.sim.qpos[0]).std() > 10
-    renderer.close()
-    assert os.environ["PYOPENGL_PLATFORM"] == find_opengl()
-
-
-@pytest.mark.render
-def test_markers_are_seen():
-    task, renderer = make()
-    markers = [
-        ball((5, 4, 0.4), 1.4, FOOD),
-        disc((-6, 2, 0.1), 1.5, GOAL),
-        line((-8, -8, 0.1), (8, -8, 0.1), 0.1, GOAL),
-    ]
-    bare, shown, again = (renderer.draw(task.sim.qpos[0], each, "top") for each in ((), markers, ()))
-    renderer.close()
-    np.testing.assert_array_equal(bare, again)
-    for color in (FOOD, GOAL):
-        assert share(shown, color) > share(bare, color) + 0.002
-    row = round((13 + 8) / 26 * SIZE)  # of the line
-    assert share(shown[row - 2 : row + 3], GOAL) > 0.1
 
 
 def look(name, place):
@@ -124,17 +65,3 @@ def test_looks_change_nothing_that_a_robot_in_the_open_feels():
         np.testing.assert_array_equal(pretty.geom_pos[wall, :2], plain.geom_pos[wall, :2])
         assert pretty.geom_pos[wall, 2] - pretty.geom_size[wall, 2] == pytest.approx(0)
         assert pretty.geom_pos[wall, 2] + pretty.geom_size[wall, 2] == pytest.approx(0.8)
-
-
-def test_a_pose_between_two_is_between_them():
-    task = make_task("ant-gather", 1)
-    task.reset(np.array([0]), [1])
-    start, model = task.sim.qpos[0].copy(), task.sim.model
-    end = start.copy()
-    end[0] += 2
-    end[3:7] = (np.cos(0.5), 0, 0, np.sin(0.5))
-    half = between(model, start, end, 0.5)
-    assert half[0] == pytest.approx(start[0] + 1)
-    assert np.linalg.norm(half[3:7]) == pytest.approx(1)
-    np.testing.assert_allclose(between(model, start, end, 0), start, atol=1e-12)
-    np.testing.assert_allclose(between(model, start, end, 1), end, atol=1e-9)
