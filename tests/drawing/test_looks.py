@@ -1,5 +1,7 @@
 """The looks of worlds and the camera that follows the robot, which need no OpenGL."""
 
+from functools import cache
+
 import mujoco
 import numpy as np
 import pytest
@@ -17,9 +19,15 @@ PLACES = [
 ]
 
 
+@cache
+def decorated(name):
+    """Return the decorated world of an environment."""
+    return decorate(make_task(name, 1).world_to_draw()).compile()
+
+
 def look(name, place):
     """Return the model, the state, the camera that follows the robot at `place`, and its position."""
-    model = decorate(make_task(name, 1).world_to_draw()).compile()
+    model = decorated(name)
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     data.qpos[: len(place)] = place
     mujoco.mj_forward(model, data)
@@ -50,8 +58,8 @@ def test_the_camera_is_behind_and_moves_smoothly_to_a_wall():
 
 
 def test_looks_change_nothing_that_a_robot_in_the_open_feels():
-    task, states = make_task("ant-gather", 1), []
-    plain, pretty = task.world_to_draw().compile(), decorate(task.world_to_draw()).compile()
+    plain, pretty = make_task("ant-gather", 1).world_to_draw().compile(), decorated("ant-gather")
+    states = []
     assert (plain.nq, plain.nv, plain.nu, plain.ngeom) == (pretty.nq, pretty.nv, pretty.nu, pretty.ngeom)
     for model in (plain, pretty):
         data = mujoco.MjData(model)

@@ -21,10 +21,9 @@ def kinds(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def without_opengl(request, monkeypatch):
-    """Draw flat pictures, which is fast and works on every machine, but for tests marked `render`."""
-    if "render" not in request.keywords:
-        monkeypatch.setenv("MUJOCO_GL", "off")
+def without_opengl(monkeypatch):
+    """Draw flat pictures, which is fast and works on every machine."""
+    monkeypatch.setenv("MUJOCO_GL", "off")
     make_drawer.find_opengl.cache_clear()
     yield
     make_drawer.find_opengl.cache_clear()

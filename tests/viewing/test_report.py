@@ -68,21 +68,11 @@ def test_without_plotly_the_error_names_the_extra(tiny_run, tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("out", "message"),
-    [
-        ("report.pdf", r"out must end in \.html, got 'report\.pdf'\. Set --out"),
-        ("none/report.html", "there is no folder none"),
-        ("folder.html", "is a folder"),
-    ],
-)
-def test_a_wrong_target_is_refused_before_any_work(tiny_run, tmp_path, monkeypatch, out, message):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.html").mkdir()
-    with pytest.raises(ConfigError, match=message):
-        report(tiny_run, out, on_step=pytest.fail)
+def test_a_wrong_argument_is_refused_before_any_work(tiny_run, tmp_path):
+    with pytest.raises(ConfigError, match=r"out must end in \.html, got 'report\.pdf'\. Set --out"):
+        report(tiny_run, "report.pdf", on_step=pytest.fail)
     with pytest.raises(RunFolderError, match="gone does not exist"):
-        report([tiny_run, tmp_path / "gone"])
+        report([tiny_run, tmp_path / "gone"], on_step=pytest.fail)
 
 
 def test_the_page_is_in_the_run_folder_or_where_one_works(run_copy, tmp_path, monkeypatch):
