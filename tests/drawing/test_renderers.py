@@ -115,9 +115,14 @@ def test_a_size_that_there_is_not_is_refused():
             make_drawer(make_task("point-gather", 1), *size)
 
 
+def outlines_of(spec):
+    model = spec.compile()
+    return outlines(model, mujoco.MjData(model))
+
+
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_the_outlines_of_a_world_leave_its_start_free(name):
-    found = outlines(make_task(name, 1).world_to_draw().compile())
+    found = outlines_of(make_task(name, 1).world_to_draw())
     kinds = Counter(outline.kind for outline in found)
     assert kinds["wall"] >= 4
     assert kinds["block"] == name.endswith(("push", "fall"))
@@ -136,7 +141,7 @@ def test_a_moving_box_that_is_no_block_belongs_to_the_robot():
         body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 1, 1])
     assert extent_of(spec.compile())[:3:2] == (2.5, 3.5)
     spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 2, 3], pos=[9, 0, 3])
-    block, table = outlines(spec.compile())
+    block, table = outlines_of(spec)
     assert (block.kind, table.kind) == ("block", "wall")
     np.testing.assert_allclose(block.corners, [[2.5, -1], [3.5, -1], [3.5, 1], [2.5, 1]])
 

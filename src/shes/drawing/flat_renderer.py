@@ -69,15 +69,14 @@ class _Sheet:
         self._scale = self._height / (2 * half)
         self._image = Image.new("RGB", (self._width, self._height), ground)
         self._draw = ImageDraw.Draw(self._image, "RGBA")
-        across = half * width / height
-        for x in _multiples(self._x - across, self._x + across):
-            column = self._pixel((x, 0.0))[0]
-            self._draw.line([(column, 0), (column, self._height)], _GROUND_LINE, _OVERSAMPLING)
-        for y in _multiples(self._y - half, self._y + half):
-            row = self._pixel((0.0, y))[1]
-            self._draw.line([(0, row), (self._width, row)], _GROUND_LINE, _OVERSAMPLING)
+        center, reach = np.array(view[:2]), half * np.array([width / height, 1.0])
+        for axis, (low, high) in enumerate(zip(center - reach, center + reach, strict=True)):
+            for place in np.arange(_LINE_EVERY_M * np.ceil(low / _LINE_EVERY_M), high, _LINE_EVERY_M):
+                ends = np.array([center - reach, center + reach])
+                ends[:, axis] = place
+                self._draw.line([self._pixel(end) for end in ends], _GROUND_LINE, _OVERSAMPLING)
 
-    def _pixel(self, place: F64Array | tuple[float, float]) -> tuple[float, float]:
+    def _pixel(self, place: F64Array) -> tuple[float, float]:
         x, y = float(place[0]) - self._x, float(place[1]) - self._y
         return self._width / 2 + x * self._scale, self._height / 2 - y * self._scale
 
@@ -98,8 +97,3 @@ class _Sheet:
     def picture(self) -> Picture:
         """Return the image, reduced, as pixels [H, W, 3]."""
         return np.asarray(self._image.resize(self._size, Image.Resampling.LANCZOS))
-
-
-def _multiples(first: float, last: float) -> F64Array:
-    """Return the coordinates of the ground's lines between `first` and `last`, in metres."""
-    return np.arange(_LINE_EVERY_M * np.ceil(first / _LINE_EVERY_M), last, _LINE_EVERY_M)

@@ -84,12 +84,11 @@ class Outline(NamedTuple):
     """Its corners in order [4, 2] in metres."""
 
 
-def outlines(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> list[Outline]:
-    """Return the boxes of the world at the pose of `data`, or before the first step; the lowest comes first.
+def outlines(model: mujoco.MjModel, data: mujoco.MjData) -> list[Outline]:
+    """Return the boxes of the world at the pose of `data`, whose positions it computes; the lowest comes first.
 
-    Positions in `data` are computed. A moving box that is not called a block belongs to the robot and is left out.
+    A moving box that is not called a block belongs to the robot and is left out.
     """
-    data = data or mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     boxes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
     tops = data.geom_xpos[boxes, 2] + model.geom_size[boxes, 2]
@@ -111,7 +110,7 @@ def box_corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> F64Arr
 
 def extent_of(model: mujoco.MjModel) -> Extent:
     """Return the area to show from above, with the rim of the outer walls."""
-    boxes = [outline.corners for outline in outlines(model)]
+    boxes = [outline.corners for outline in outlines(model, mujoco.MjData(model))]
     if not boxes:
         return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
     low, high = np.min(boxes, axis=1), np.max(boxes, axis=1)

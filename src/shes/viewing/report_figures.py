@@ -212,7 +212,7 @@ def search_traces(explored: Explored) -> list[dict[str, Any]]:
 
 def _map_layout(model: mujoco.MjModel | None) -> dict[str, Any]:
     """Return the layout of a map with the world of `model`; an environment that draws itself has none."""
-    boxes = [] if model is None else outlines(model)
+    boxes = [] if model is None else outlines(model, mujoco.MjData(model))
     left, bottom, right, top = (None,) * 4 if model is None else extent_of(model)
     shapes = [
         {
