@@ -18,7 +18,7 @@ def kinds(tiny_run, tmp_path_factory):
         "third": runs.train_tiny(folder / "seeds" / "third", seed=7),
         "other": runs.train_tiny(folder / "other", sigma=0.5),
         "flat": runs.train_tiny(folder / "flat", algorithm="es", generations=2),
-        "flag": runs.train_tiny(folder / "flag", "point-flagrun", generations=2),
+        "flag": runs.train_tiny(folder / "flag", "point-flagrun", generations=2, evaluation_horizon=8),
     }
 
 
