@@ -195,13 +195,13 @@ def _maps(
     def add(title: str, content: str) -> None:
         cards.append(f'<div class="card"><h3>{escape(title)}</h3>{content}</div>')
 
-    for number, run in enumerate(group.runs[0] for group in groups):
+    for run in (group.runs[0] for group in groups):
         begin_part()
         maps = _attempt(run, "map", play_maps, run.folder.path, episodes, seed) or []
-        for kind, figure in zip(("", ": search for a way"), maps, strict=False):
-            place = f"map {number}{kind}"
+        for title, figure in zip(("", ": search for a way"), maps, strict=False):
+            place = f"map {len(figures)}"
             figures[place] = figure
-            add(run.name + kind, plot(place))
+            add(run.name + title, plot(place))
         if has_videos:
             begin_part()
             if uri := _attempt(run, "video", _video_uri, run, seed):
