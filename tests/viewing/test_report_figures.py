@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pytest
 
-from shes.algorithms.contract import Explored
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.viewing.curves import column_curve
@@ -19,7 +18,6 @@ from shes.viewing.report_figures import (
     curve_figure,
     panels_of,
     play_maps,
-    search_traces,
 )
 from tests.e2e import runs
 
@@ -140,16 +138,18 @@ def test_each_goal_appears_once(kinds, tmp_path):
 def test_the_map_of_a_search_shows_cells_and_the_way(tmp_path):
     settings = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 25}
     folder = RunFolder(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings))
+    last = folder.checkpoint_path("last")
+    with np.load(last) as file:
+        arrays = dict(file)
+    found = {"archive/positions": np.array([[3.0, 1]]), "archive/way": np.array([[0.0, 0], [3, 1], [6, 0]])}
+    np.savez(last, **arrays | found)
     shutil.copy(folder.checkpoint_path("0"), folder.checkpoint_path("best"))
     paths, search = play_maps(folder.path, 2)  # with what was found by the end of the run
     json.dumps([paths, search], allow_nan=False)
-    assert [-0.45, -0.45] in np.transpose([search["data"][0][axis] for axis in "xy"]).tolist()  # the start
     for layout in (paths["layout"], search["layout"]):
         block, *_ = (shape for shape in layout["shapes"] if shape["fillcolor"] == "#d2a873")
         assert block["path"] == "M-4.000,4.000L4.000,4.000L4.000,12.000L-4.000,12.000Z"
         assert (layout["xaxis"]["range"], layout["yaxis"]["scaleanchor"]) == ([-13, 13], "x")
-    found = Explored(places=np.array([[0.0, 0], [3, 1]]), way=np.array([[0.0, 0], [3, 1], [6, 0]]))
-    squares, way = search_traces(found)
-    assert squares["x"] == [-0.45, 0.45, 0.45, -0.45, None, 2.55, 3.45, 3.45, 2.55, None]
-    assert squares["y"][5:9] == [0.55, 0.55, 1.45, 1.45]
+    squares, way = search["data"]
+    assert (squares["x"], squares["y"][:4]) == ([2.55, 3.45, 3.45, 2.55, None], [0.55, 0.55, 1.45, 1.45])
     assert (way["x"], way["y"], way["name"]) == ([0, 3, 6], [0, 1, 0], "way found, 3 points")

@@ -176,7 +176,7 @@ def play_maps(run: Path, episodes: int, seed: int | None = None) -> list[Figure]
     has_last = RunFolder.open(run).checkpoint_path("last").exists()
     opened = open_run(run, "last" if has_last else "best", device="cpu")
     explored = opened.algorithm.explored(opened.state)
-    searches = [] if explored is None else [search_traces(explored)]
+    searches = [] if explored is None else [_search_traces(explored)]
     return [{"data": data, "layout": layout} for data in (traces, *searches)]
 
 
@@ -200,7 +200,7 @@ def _episode_traces(playback: Playback, number: int) -> Iterator[dict[str, Any]]
     yield _scatter(*path[-1][:, None], **own, mode="markers", marker={"color": _PATH, "size": 8}, showlegend=False)
 
 
-def search_traces(explored: Explored) -> list[dict[str, Any]]:
+def _search_traces(explored: Explored) -> list[dict[str, Any]]:
     """Return the cells that a search for a way reached, and the way found with its points."""
     half = _CELL_HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [np.nan, np.nan]])
     squares = (explored.places[:, None] + half).reshape(-1, 2)
