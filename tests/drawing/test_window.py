@@ -17,42 +17,35 @@ from shes.errors import ConfigError
 
 
 class FakeWindow:
-    """A stand-in for MuJoCo's window that records poses and closes after some."""
+    """A stand-in for MuJoCo's window that records what it shows and closes after some frames."""
 
-    def __init__(self, model, data):
+    def __init__(self, model, data, **_):
         self.data, self.frames = data, 10_000
         self.cam, self.user_scn = mujoco.MjvCamera(), mujoco.MjvScene(model, 100)
-        self.poses, self.num_markers, self.texts, self.is_closed = [], [], [], False
+        self.poses, self.num_markers, self.texts = [], [], []
+        self.lock, self.set_texts = nullcontext, self.texts.append
+        FakeWindow.last = self
 
     def is_running(self):
-        return len(self.poses) < self.frames and not self.is_closed
-
-    def lock(self):
-        return nullcontext()
+        return len(self.poses) < self.frames
 
     def sync(self):
         self.poses.append(self.data.qpos.copy())
         self.num_markers.append(self.user_scn.ngeom)
 
-    def set_texts(self, texts):
-        self.texts.append(texts)
-
     def close(self):
-        self.is_closed = True
+        self.frames = 0
 
 
 @pytest.fixture
 def opened(monkeypatch):
     """A viewer, its window and a pose to show."""
-    windows = []
-    launch = SimpleNamespace(
-        launch_passive=lambda model, data, **_: windows.append(FakeWindow(model, data)) or windows[0]
-    )
+    launch = SimpleNamespace(launch_passive=FakeWindow)
     monkeypatch.setitem(sys.modules, "mujoco.viewer", launch)
     monkeypatch.setattr(mujoco, "viewer", launch, raising=False)
     task = make_task("point-gather", 1)
     task.reset(np.array([0]), [1])
-    return Viewer(task.world_to_draw(), 0.003), windows[0], task.sim.qpos[0].copy()
+    return Viewer(task.world_to_draw(), 0.003), FakeWindow.last, task.sim.qpos[0].copy()
 
 
 def test_a_step_is_shown_as_a_smooth_movement_with_markers(opened):
@@ -76,7 +69,7 @@ def test_nothing_is_shown_in_a_window_that_was_closed(opened):
     assert len(window.poses) == 2
     assert not viewer.is_open
     viewer.close()
-    assert window.is_closed
+    assert window.frames == 0
 
 
 def test_without_a_screen_the_error_names_the_other_way(monkeypatch):

@@ -1,7 +1,5 @@
 """Captions: as much of a text as there is room for, and the inputs of a controller in words."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -14,13 +12,8 @@ LONG = "/home/somebody/experiments/point-gather/transfer/published/seed-3"
 FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")
 
 
-def height_of(picture):
-    """Return the number of rows with letters or bar on a picture that was white."""
-    return int((picture.min(axis=(1, 2)) < 250).sum())
-
-
-@pytest.mark.parametrize("label", ["mine", LONG, "x" * 900])
-@pytest.mark.parametrize("size", [64, 160, 480, 1080])
+@pytest.mark.parametrize("label", ["mine", LONG, "x" * 200])
+@pytest.mark.parametrize("size", [64, 160, 1080])
 def test_no_line_is_cut_and_half_of_the_picture_is_left(size, label):
     picture = captioned(np.zeros((size, size, 3), np.uint8), [(label, *FACTS), ("controller sees 2 values", "x -1.20")])
     ink = picture.min(axis=2) > 120
@@ -40,32 +33,20 @@ def test_a_text_that_is_too_long_is_shortened_in_its_middle():
         assert (whole != of(start + "x" * 98 + end)).any()
 
 
-def words_of(env, view="observation", **settings):
-    """Return a new task and what the controller sees of it."""
-    if settings.get("algorithm", "shes") == "shes":
-        settings["controller_view"] = view
-    problem = build_algorithm(make_config(env, "smoke", settings)).problem
-    task = problem.make_task(is_evaluation=True)
+def words_of(env, view, **settings):
+    """Return a new task and what a controller with `view` sees of it."""
+    task = build_algorithm(make_config(env, "smoke", settings)).problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [3])
-    return task, input_words(build_algorithm(problem.settings).design.controller_view, task)
+    return task, input_words(view, task)
 
 
 def test_the_few_inputs_of_a_position_view_are_listed():
-    task, words = words_of("ant-maze", "position")
+    settings = {"controller_view": "position"}
+    view = build_algorithm(make_config("ant-maze", "smoke", settings)).design.controller_view
+    task, words = words_of("ant-maze", view, **settings)
     x, y = task.position[0]
-    assert words == (
-        "controller sees 5 values", f"torso x {x:.2f}", f"torso y {y:.2f}", "time 0.00", "target x 0.00",
-        "target y 0.16",
-    )  # fmt: skip
-
-
-def test_many_inputs_of_one_word_are_summed_up():
-    task, words = words_of("ant-maze")
-    alike = {"torso": [], "hip": [], "ankle": []}
-    for name, value in zip(task.observation_names, task.observe()[0], strict=True):
-        alike.get(re.match("[a-z]+", name)[0], []).append(value)
-    summed = [f"{len(each)} of {word} up to {max(each):.2f}" for word, each in alike.items()]
-    assert words == ("controller sees 32 values", *summed, "time 0.00", "target x 0.00", "target y 0.16")
+    place = (f"torso x {x:.2f}", f"torso y {y:.2f}", "time 0.00", "target x 0.00", "target y 0.16")
+    assert words == ("controller sees 5 values", *place)
 
 
 def test_three_inputs_of_one_word_are_listed_and_four_are_not():
@@ -77,13 +58,15 @@ def test_three_inputs_of_one_word_are_listed_and_four_are_not():
             values[:] = np.arange(7)
 
     listed = ("food 1 0.00", "food 2 1.00", "food 3 2.00", "4 of wall up to 6.00")
-    assert input_words(View(), words_of("point-maze")[0]) == ("controller sees 7 values", *listed)
+    assert words_of("point-maze", View())[1] == ("controller sees 7 values", *listed)
 
 
-def test_an_agent_without_a_controller_has_no_inputs(tiny_run, kinds):
+def test_inputs_are_those_of_a_controller_and_shown_if_asked_for(tiny_run, kinds):
     def shown(run, **settings):
         return next(Playback(run, "best", **settings).play(3)).inputs
 
-    assert shown(tiny_run, sensors=True)[0] == "controller sees 25 values"
+    first, *others = shown(tiny_run, sensors=True)
+    assert first == "controller sees 25 values"
+    summed = [word.split(" up to ")[0] for word in others if " of " in word]
+    assert summed == ["4 of torso", "10 of food", "10 of poison"]
     assert shown(tiny_run) == shown(kinds["flat"], sensors=True) == ()
-    assert words_of("point-maze", algorithm="hiro")[1][0] == "controller sees 7 values"

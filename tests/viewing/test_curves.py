@@ -4,19 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from shes.viewing.curves import column_curve, confidence_interval, mean_curve, t_quantile
+from shes.viewing.curves import column_curve, confidence_interval, mean_curve
 
 
-@pytest.mark.parametrize("freedom", [1, 2, 3, 10, 99, 9999])
-def test_a_quantile_of_t_is_scipys(freedom):
-    assert t_quantile(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-7)
-
-
-@pytest.mark.parametrize("runs", [2, 3, 10])
+@pytest.mark.parametrize("runs", [2, 3, 4, 10, 100])
 def test_an_interval_is_that_of_students_t(runs):
     values = np.random.default_rng(1).normal(2, 3, size=(runs, 40))
     low, high = stats.ttest_1samp(values, 0).confidence_interval(0.95)
-    np.testing.assert_allclose(confidence_interval(values), (low, high))
+    np.testing.assert_allclose(confidence_interval(values), (low, high), rtol=1e-7)
 
 
 @pytest.mark.parametrize("runs", [1, 3])

@@ -61,7 +61,9 @@ def test_an_episode_that_diverges_ends_and_says_so(tiny_run):
 
 
 class FakeViewer:
-    """A window that is closed after 45 poses."""
+    """A window that is closed after 45 poses, or breaks at once."""
+
+    breaks = False
 
     def __init__(self, spec, step_s):
         self.shown, self.is_closed = [], False
@@ -72,25 +74,22 @@ class FakeViewer:
         return len(self.shown) < 45
 
     def show(self, qpos, markers, *, is_new_episode, lines):
+        if self.breaks:
+            raise ConfigError("lost the screen")
         self.shown.append((qpos, len(markers), is_new_episode, lines))
 
     def close(self):
         self.is_closed = True
 
 
-class BrokenViewer(FakeViewer):
-    def show(self, qpos, markers, *, is_new_episode, lines):
-        raise ConfigError("lost the screen")
-
-
 @pytest.fixture
-def screen(monkeypatch):
+def viewer(monkeypatch):
     monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: True))
-
-
-@pytest.mark.usefixtures("screen")
-def test_watch_shows_episodes_until_the_window_is_closed(tiny_run, monkeypatch):
     monkeypatch.setattr("shes.drawing.window.Viewer", FakeViewer)
+
+
+@pytest.mark.usefixtures("viewer")
+def test_watch_shows_episodes_until_the_window_is_closed(tiny_run):
     watch(tiny_run)
     window = FakeViewer.last
     assert (window.is_closed, len(window.shown)) == (True, 45)
@@ -102,9 +101,9 @@ def test_watch_shows_episodes_until_the_window_is_closed(tiny_run, monkeypatch):
         assert (num_markers, lines) == (len(first.markers), (*first.facts, *first.inputs))
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("viewer")
 def test_watch_closes_its_window_after_an_error(tiny_run, monkeypatch):
-    monkeypatch.setattr("shes.drawing.window.Viewer", BrokenViewer)
+    monkeypatch.setattr(FakeViewer, "breaks", True)
     with pytest.raises(ConfigError, match="lost the screen"):
         watch(tiny_run)
     assert FakeViewer.last.is_closed

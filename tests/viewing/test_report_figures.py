@@ -6,10 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from shes.algorithms.contract import Explored
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.tables import read_csv
+from shes.viewing.curves import column_curve
 from shes.viewing.groups import group_runs, read_run
 from shes.viewing.playback import Playback
 from shes.viewing.report_figures import (
@@ -17,10 +16,8 @@ from shes.viewing.report_figures import (
     X_AXES,
     Panel,
     curve_figure,
-    map_figure,
     panels_of,
-    play_episodes,
-    search_figure,
+    play_maps,
 )
 from tests.e2e import runs
 
@@ -59,29 +56,27 @@ def test_every_column_that_changes_has_a_panel(kinds):
     assert not [title for title in titles(kinds["flat"]) if "primitive" in title]
 
 
-@pytest.mark.parametrize("x", X_AXES)
-def test_a_curve_of_one_run_has_two_standard_errors(kinds, x):
-    low, high, mean = traces(SCORE, kinds["first"], x=x)
-    table = read_csv(kinds["first"] / "evaluation.csv")
-    np.testing.assert_allclose(mean["y"], table["score_mean"], rtol=1e-5)
-    np.testing.assert_allclose(mean["x"], np.array(table[x]) * X_AXES[x][1], rtol=1e-5)
-    error = 2 * np.array(table["score_std"]) / np.sqrt(3)
-    np.testing.assert_allclose((low["y"], high["y"]), (mean["y"] - error, mean["y"] + error), atol=1e-5)
-    assert mean["visible"] == (x == "env_steps")
-
-
-def test_repetitions_are_a_mean_with_lines_or_a_band(kinds):
-    first, second, third = kinds["first"], kinds["second"], kinds["third"]
-    one, two, mean = traces(PRIMITIVE, first, second)
-    columns = [read_csv(path / "progress.csv")["primitive_return_mean"] for path in (first, second)]
-    assert mean["x"] == [1, 2, 3]
-    np.testing.assert_allclose(mean["y"], np.mean([column[:3] for column in columns], axis=0), rtol=1e-5)
-    np.testing.assert_allclose(one["y"], columns[0], rtol=1e-5)
-    assert ("name" in one, "name" in two) == (False, False)
-    low, high, mean = traces(PRIMITIVE, first, second, third)
-    assert (np.array(low["y"]) < mean["y"]).all()
-    assert (np.array(high["y"]) > mean["y"]).all()
-    assert mean["name"] == "point-gather smoke (3 runs)"
+@pytest.mark.parametrize(
+    ("names", "x"),
+    [
+        *((["first"], x) for x in X_AXES),
+        (["first", "second"], "env_steps"),
+        (["first", "second", "third"], "generation"),
+    ],
+)
+@pytest.mark.parametrize("panel", [SCORE, PRIMITIVE])
+def test_traces_are_the_band_single_runs_and_the_mean(kinds, panel, names, x):
+    paths = [kinds[name] for name in names]
+    curve = column_curve([run.tables[panel.table] for run in read(*paths)], panel.column, x)
+    expected = [*((curve.grid, bound) for bound in curve.band or ()), *curve.singles]
+    expected += [] if curve.is_apart else [(curve.grid, curve.mean)]
+    found = traces(panel, *paths, x=x)
+    for trace, values in zip(found, expected, strict=True):
+        np.testing.assert_allclose((trace["x"], trace["y"]), values, rtol=1e-5, atol=1e-5)
+        assert trace["visible"] == (x == "env_steps")
+    label = "point-gather smoke" + (f" ({len(names)} runs)" if len(names) > 1 else "")
+    named = found[0 if curve.is_apart else -1]
+    assert [trace.get("name") for trace in found] == [label if trace is named else None for trace in found]
 
 
 def test_a_group_has_one_entry_in_the_legend(kinds):
@@ -114,46 +109,47 @@ def test_a_nan_is_a_gap_and_a_long_curve_is_thinned(run_copy):
     assert trace["y"][1] is not None
 
 
+def paths_of(figure):
+    """Return path, goals and end of each episode of a map."""
+    pairs = [np.transpose([trace["x"], trace["y"]]) for trace in figure["data"]]
+    return list(zip(pairs[::3], pairs[1::3], pairs[2::3], strict=True))
+
+
 def test_the_episodes_of_a_map_are_those_that_evaluate_runs(tiny_run):
-    world = play_episodes(tiny_run, 3)
+    (figure,) = play_maps(tiny_run, 3)
     found = evaluate(tiny_run, episodes=3, num_workers=1)
-    assert [each.score for each in world.episodes] == found.scores.tolist()
+    names = [trace["name"] for trace in figure["data"] if trace.get("showlegend", True)]
+    assert names == [f"episode {number}, score {score:g}" for number, score in enumerate(found.scores)]
     playback = Playback(tiny_run, "best")
-    for number, episode in enumerate(world.episodes):
+    for number, (path, _, end) in enumerate(paths_of(figure)):
         poses = [step.pose[:2].copy() for step in playback.play(playback.seed_of(number))]
-        np.testing.assert_allclose(episode.path, poses, atol=1e-9)
+        np.testing.assert_allclose(path, poses, rtol=1e-5)
+        np.testing.assert_array_equal(end, path[-1:])
     playback.task.close()
-    assert len(play_episodes(tiny_run, 10**12).episodes) == MOST_EPISODES
+    assert len(paths_of(play_maps(tiny_run, 10**12)[0])) == MOST_EPISODES
 
 
 def test_each_goal_appears_once(kinds, tmp_path):
     path = runs.train_tiny(tmp_path / "run", generations=1, controller_interval=6)
-    assert [episode.goals.shape for episode in play_episodes(path, 2).episodes] == [(4, 2)] * 2
-    assert [episode.goals.shape for episode in play_episodes(kinds["flat"], 2).episodes] == [(0, 2)] * 2
-    assert all(len(episode.goals) >= 1 for episode in play_episodes(kinds["flag"], 2).episodes)
-
-
-def test_a_map_is_drawn_to_scale_and_names_each_episode(tmp_path):
-    world = play_episodes(runs.train_tiny(tmp_path / "run", "point-push", generations=1), 2)
-    figure = map_figure(world)
-    layout, (block, *_) = figure["layout"], [s for s in figure["layout"]["shapes"] if s["fillcolor"] == "#d2a873"]
-    assert block["path"] == "M-4.000,4.000L4.000,4.000L4.000,12.000L-4.000,12.000Z"
-    assert (layout["xaxis"]["range"], layout["yaxis"]["scaleanchor"]) == ([-13, 13], "x")
-    names = [f"episode {number}, score {each.score:g}" for number, each in enumerate(world.episodes)]
-    assert [trace["name"] for trace in figure["data"] if trace.get("showlegend", True)] == names
-    json.dumps(figure, allow_nan=False)
-    assert world.explored is None
+    for run, expected in ((path, [4, 4]), (kinds["flat"], [0, 0]), (kinds["flag"], [1, 1])):
+        assert [len(goals) for _, goals, _ in paths_of(play_maps(run, 2)[0])] == expected
 
 
 def test_the_map_of_a_search_shows_cells_and_the_way(tmp_path):
     settings = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 25}
     folder = RunFolder(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings))
+    last = folder.checkpoint_path("last")
+    with np.load(last) as file:
+        arrays = dict(file)
+    found = {"archive/positions": np.array([[3.0, 1]]), "archive/way": np.array([[0.0, 0], [3, 1], [6, 0]])}
+    np.savez(last, **arrays | found)
     shutil.copy(folder.checkpoint_path("0"), folder.checkpoint_path("best"))
-    world = play_episodes(folder.path, 2)  # with what was found by the end of the run
-    assert [0, 0] in world.explored.places.tolist()
-    json.dumps(search_figure(world, world.explored), allow_nan=False)
-    found = Explored(places=np.array([[0.0, 0], [3, 1]]), way=np.array([[0.0, 0], [3, 1], [6, 0]]))
-    squares, way = search_figure(world, found)["data"]
-    assert squares["x"] == [-0.45, 0.45, 0.45, -0.45, None, 2.55, 3.45, 3.45, 2.55, None]
-    assert squares["y"][5:9] == [0.55, 0.55, 1.45, 1.45]
+    paths, search = play_maps(folder.path, 2)  # with what was found by the end of the run
+    json.dumps([paths, search], allow_nan=False)
+    for layout in (paths["layout"], search["layout"]):
+        block, *_ = (shape for shape in layout["shapes"] if shape["fillcolor"] == "#d2a873")
+        assert block["path"] == "M-4.000,4.000L4.000,4.000L4.000,12.000L-4.000,12.000Z"
+        assert (layout["xaxis"]["range"], layout["yaxis"]["scaleanchor"]) == ([-13, 13], "x")
+    squares, way = search["data"]
+    assert (squares["x"], squares["y"][:4]) == ([2.55, 3.45, 3.45, 2.55, None], [0.55, 0.55, 1.45, 1.45])
     assert (way["x"], way["y"], way["name"]) == ([0, 3, 6], [0, 1, 0], "way found, 3 points")

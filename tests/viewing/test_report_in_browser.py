@@ -38,7 +38,7 @@ FAULTS = """(() => {
 def page(tmp_path_factory):
     """The page of two shipped agents and of a shipped walker."""
     folder = tmp_path_factory.mktemp("whole")
-    return report(["ant-gather", "ant-gather-coevolved", "ant-walker"], folder / "report.html", episodes=4, video=False)
+    return report(["ant-gather", "ant-gather-coevolved", "ant-walker"], folder / "report.html", episodes=2, video=False)
 
 
 @pytest.fixture

@@ -10,15 +10,14 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 from PIL import Image, ImageOps
 
 from shes.drawing.flat_renderer import FlatRenderer
 from shes.drawing.mujoco_renderer import MAX_PIXELS, MujocoRenderer
-from shes.drawing.renderer import Drawer, Picture, Renderer
+from shes.drawing.renderer import Drawer, Picture
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
 from shes.errors import ConfigError
@@ -54,25 +53,23 @@ class PassthroughDrawer(Drawer):
 
 
 def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
-    """Return a drawer of the poses of `batch`, with pictures of this size; call it before the first reset."""
+    """Return a drawer of the poses of `batch`, with pictures of this size; call it before the first reset.
+
+    A world of MuJoCo is drawn by MuJoCo's renderer or, without OpenGL, by the flat renderer.
+    """
     if batch.draws_itself:
         batch.draw_by("rgb_array")
         if not os.environ.get("MUJOCO_GL") and (found := find_opengl()):
             os.environ["MUJOCO_GL"] = found  # which Gymnasium's environments read
         return PassthroughDrawer(width, height)
-    return make_renderer(batch.world_to_draw, width, height)
-
-
-def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: int) -> Renderer:
-    """Return MuJoCo's renderer of the undecorated world of `make_spec` or, without OpenGL, the flat renderer."""
     for name, pixels in (("width", width), ("height", height)):
         if not (is_whole(pixels) and 16 <= pixels <= MAX_PIXELS):
             raise ConfigError(f"{name} of a picture must be 16 to {MAX_PIXELS} pixels, got {pixels!r}. Change {name}.")
     found = find_opengl()
     if found is not None:
-        return MujocoRenderer(make_spec(), width, height, found)
+        return MujocoRenderer(batch.world_to_draw(), width, height, found)
     logger.warning("MUJOCO_GL is off or no OpenGL works: drawing flat pictures from above. %s", _HOW_TO_GET_OPENGL)
-    return FlatRenderer(make_spec().compile(), width, height)
+    return FlatRenderer(batch.world_to_draw().compile(), width, height)
 
 
 @functools.cache

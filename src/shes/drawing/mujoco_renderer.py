@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.rendering.classic import gl_context
 
-from shes.drawing.renderer import Extent, Picture, Renderer, check_camera
+from shes.drawing.renderer import Extent, Picture, Renderer
 from shes.envs.markers import ROBOT, Marker
 from shes.types import F64Array
 
@@ -34,8 +34,6 @@ _MAX_SHIFT_M = 3.0
 MAX_PIXELS = 2048
 """Largest width or height of a picture."""
 FOLLOW_FIELD_OF_VIEW_DEG = 45.0
-SCENERY_GROUP = 0
-"""Geom group of ground, walls, platforms and blocks, and of nothing else."""
 
 _SKY = ([0.62, 0.76, 0.90], [0.93, 0.96, 0.98])
 _GROUND = ([0.80, 0.83, 0.80], [0.87, 0.89, 0.86])
@@ -46,7 +44,8 @@ _CHASM = [0.55, 0.57, 0.58, 1.0]
 _BLOCK = [0.78, 0.62, 0.42, 1.0]
 _GROUND_SQUARES_M = 2.0
 _ROBOT_GROUP = 1
-_SCENERY = (np.arange(mujoco.mjNGROUP) == SCENERY_GROUP).astype(np.uint8)
+_SCENERY = (np.arange(mujoco.mjNGROUP) == 0).astype(np.uint8)
+"""Geom group 0 has ground, walls, platforms and blocks, and nothing else."""
 
 
 class MujocoRenderer(Renderer):
@@ -64,7 +63,6 @@ class MujocoRenderer(Renderer):
 
     def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture of the world at `qpos`."""
-        check_camera(camera)
         self.data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self.data)
         if camera == "follow":

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.envs.markers import Marker
-from shes.errors import UnknownNameError
 from shes.types import F64Array
 
 Picture = NDArray[np.uint8]
@@ -67,12 +66,6 @@ class Renderer(Drawer):
         return (left + right) / 2, (bottom + top) / 2, half
 
 
-def check_camera(name: str) -> None:
-    """Raise an UnknownNameError if `name` is not in `CAMERAS`."""
-    if name not in CAMERAS:
-        raise UnknownNameError("camera", name, CAMERAS)
-
-
 def between(model: mujoco.MjModel, start: F64Array, end: F64Array, fraction: float) -> F64Array:
     """Return the pose a `fraction` of the way from `start` [nq] to `end` [nq]."""
     velocity, pose = np.zeros(model.nv), np.array(start, dtype=np.float64)
@@ -84,51 +77,47 @@ def between(model: mujoco.MjModel, start: F64Array, end: F64Array, fraction: flo
 class Outline(NamedTuple):
     """A box of the world, seen from above."""
 
+    geom: int
     kind: str
-    """`wall`, `platform` or `block`."""
+    """`platform` by its name, else `wall` if it cannot move, else `block`."""
     corners: F64Array
     """Its corners in order [4, 2] in metres."""
 
 
-def outlines(model: mujoco.MjModel) -> list[Outline]:
-    """Return the boxes of the world of `model` before the first step, the lowest first, without the robot."""
-    data = mujoco.MjData(model)
+def outlines(model: mujoco.MjModel, data: mujoco.MjData) -> list[Outline]:
+    """Return the boxes of the world at the pose of `data`, whose positions it computes; the lowest comes first.
+
+    A moving box that is not called a block belongs to the robot and is left out.
+    """
     mujoco.mj_kinematics(model, data)
-    found: list[tuple[float, Outline]] = []
-    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).tolist():
-        kind = box_kind(model, geom)
-        if kind == "wall" or model.geom(geom).name.startswith(kind):  # a moving box of another name is the robot's
-            top = float(data.geom_xpos[geom, 2] + model.geom_size[geom, 2])
-            found.append((top, Outline(kind, box_corners(model, data, geom)[:, :2])))
-    return [outline for _, outline in sorted(found, key=lambda each: each[0])]
-
-
-def box_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Return what box `geom` is: a `platform` by its name, else a `wall` if it cannot move, else a `block`."""
-    if model.geom(geom).name.startswith("platform"):
-        return "platform"
-    return "wall" if model.body_weldid[model.geom_bodyid[geom]] == 0 else "block"
+    boxes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
+    tops = data.geom_xpos[boxes, 2] + model.geom_size[boxes, 2]
+    found: list[Outline] = []
+    for geom in boxes[np.argsort(tops, kind="stable")].tolist():
+        name, is_fixed = model.geom(geom).name, model.body_weldid[model.geom_bodyid[geom]] == 0
+        kind = "platform" if name.startswith("platform") else "wall" if is_fixed else "block"
+        if kind == "wall" or name.startswith(kind):
+            found.append(Outline(geom, kind, box_corners(model, data, geom)))
+    return found
 
 
 def box_corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> F64Array:
-    """Return the corners of box `geom` at half its height, in order [4, 3] in metres, at the pose of `data`."""
-    place, axes, size = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
-    return np.stack([place + axes @ (size * [i, j, 0]) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    """Return the corners of box `geom` at half its height, in order [4, 2] in metres."""
+    axes, size = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
+    corners = [axes @ (size * [i, j, 0]) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return data.geom_xpos[geom, :2] + np.array(corners)[:, :2]
 
 
 def extent_of(model: mujoco.MjModel) -> Extent:
     """Return the area to show from above, with the rim of the outer walls."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    boxes = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-    if not boxes.any():
+    boxes = [outline.corners for outline in outlines(model, mujoco.MjData(model))]
+    if not boxes:
         return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
-    center, half = data.geom_xpos[boxes, :2], model.geom_size[boxes, :2]
+    low, high = np.min(boxes, axis=1), np.max(boxes, axis=1)
     corners: list[float] = []
-    for sign in (-1, 1):
-        sides = center + sign * half
+    for sign, sides in ((-1, low), (1, high)):
         outermost = sign * (sign * sides).max(axis=0)
-        thickness = np.where(np.isclose(sides, outermost), 2 * half, np.inf).min(axis=0)
+        thickness = np.where(np.isclose(sides, outermost), high - low, np.inf).min(axis=0)
         corners += (outermost - sign * np.maximum(thickness - _RIM_M, 0.0)).tolist()
     left, bottom, right, top = corners
     return left, bottom, right, top

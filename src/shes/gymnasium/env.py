@@ -13,7 +13,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
 from shes.drawing.make_drawer import make_drawer
-from shes.drawing.renderer import Drawer, Picture, check_camera
+from shes.drawing.renderer import CAMERAS, Drawer, Picture
 from shes.drawing.window import Window, open_window
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task import Task
@@ -43,7 +43,8 @@ class TaskAdapter:
         self._render_mode = render_mode
         self._picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
         self.task = _make_task(name, num_envs, options, min(num_threads, num_envs))
-        check_camera(self._picture["camera"])
+        if self._picture["camera"] not in CAMERAS:
+            raise UnknownNameError("camera", self._picture["camera"], CAMERAS)
         low, high = np.array([(element.low, element.high) for element in self.task.observation_spec]).T
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)

@@ -128,19 +128,16 @@ def draw_mean_curve(axis: Axes, curve: MeanCurve, color: str, label: str, style:
 def legend_keys(curves: Iterable[MeanCurve], runs: str) -> list[tuple[Artist, str]]:
     """Return handles and words for what is drawn apart from the means of `curves`; `runs` is the word for runs."""
     drawn = list(curves)
-    thin = Line2D([], [], color="black", linewidth=_THIN)
-    keys: list[tuple[Artist, str]] = []
-    if any(curve.band is not None and len(curve.values) > 1 for curve in drawn):
-        words = f"band: 95 % t interval of the mean over {runs}, which may leave the panel"
-        keys.append((Patch(color="grey", alpha=2 * _OPACITY), words))
-    if any(curve.singles and not curve.is_apart for curve in drawn):
-        keys.append((thin, f"thin lines: each of two {runs}, too few for a band"))
-    if any(curve.is_apart for curve in drawn):
-        keys.append((thin, f"thin lines without a mean: {runs} apart, which hardly overlap"))
-    if any(curve.band is not None and len(curve.values) == 1 for curve in drawn):
-        words = "band: mean ± 2 standard errors over the episodes of an evaluation"
-        keys.append((Patch(color="grey", alpha=2 * _OPACITY), words))
-    return keys
+    bands = {len(curve.values) > 1 for curve in drawn if curve.band is not None}
+    apart = {curve.is_apart for curve in drawn if curve.singles}
+    area, thin = Patch(color="grey", alpha=2 * _OPACITY), Line2D([], [], color="black", linewidth=_THIN)
+    keys: list[tuple[bool, Artist, str]] = [
+        (True in bands, area, f"band: 95 % t interval of the mean over {runs}, which may leave the panel"),
+        (False in apart, thin, f"thin lines: each of two {runs}, too few for a band"),
+        (True in apart, thin, f"thin lines without a mean: {runs} apart, which hardly overlap"),
+        (False in bands, area, "band: mean ± 2 standard errors over the episodes of an evaluation"),
+    ]
+    return [(handle, words) for is_drawn, handle, words in keys if is_drawn]
 
 
 def _draw_legend(figure: Figure, groups: Sequence[Group], drawn: Sequence[MeanCurve]) -> None:

@@ -34,12 +34,10 @@ from shes.viewing.report_figures import (
     SECTIONS,
     Figure,
     curve_figure,
-    map_figure,
     panels_of,
-    play_episodes,
-    search_figure,
+    play_maps,
 )
-from shes.viewing.report_page import cards, details, page, paragraph, plot, read_plotly, section, table
+from shes.viewing.report_page import page, paragraph, plot, read_plotly, section, table
 from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
@@ -192,26 +190,29 @@ def _maps(
     has_videos: bool,
 ) -> str:
     """Return maps and videos of the first run of each group, as far as they can be made."""
-    made: list[tuple[str, str]] = []
-    for number, run in enumerate(group.runs[0] for group in groups):
+    cards: list[str] = []
+
+    def add(title: str, content: str) -> None:
+        cards.append(f'<div class="card"><h3>{escape(title)}</h3>{content}</div>')
+
+    for run in (group.runs[0] for group in groups):
         begin_part()
-        world = _attempt(run, "map", play_episodes, run.folder.path, episodes, seed)
-        if world is not None:
-            figures[f"map {number}"] = map_figure(world)
-            made.append((run.name, plot(f"map {number}")))
-        if world is not None and world.explored is not None:
-            figures[f"search {number}"] = search_figure(world, world.explored)
-            made.append((f"{run.name}: search for a way", plot(f"search {number}")))
+        maps = _attempt(run, "map", play_maps, run.folder.path, episodes, seed) or []
+        for title, figure in zip(("", ": search for a way"), maps, strict=False):
+            place = f"map {len(figures)}"
+            figures[place] = figure
+            add(run.name + title, plot(place))
         if has_videos:
             begin_part()
-            uri = _attempt(run, "video", _video_uri, run, seed)
-            made += [(run.name, f'<video controls loop muted playsinline src="{uri}"></video>')] if uri else []
+            if uri := _attempt(run, "video", _video_uri, run, seed):
+                add(run.name, f'<video controls loop muted playsinline src="{uri}"></video>')
     hint = (
         f"Paths of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of one run of "
         f"each of the first {len(groups)} groups. A dot is the end of a path, a cross a goal. A video is the beginning "
         "of the first episode."
     )
-    return section("Maps and videos", paragraph(hint), cards(made)) if made else ""
+    grid = "\n".join(['<div class="cards">', *cards, "</div>"])
+    return section("Maps and videos", paragraph(hint), grid) if cards else ""
 
 
 def _video_uri(run: RunData, seed: int | None) -> str:
@@ -276,5 +277,6 @@ def _origins(runs: Sequence[RunData]) -> str:
         agent = shipped_name(run.folder.path)
         record = {name: value for name, value in run.folder.read_record().items() if name != "config"}
         record |= {"made by": read_agent(agent).commands} if agent else {}
-        parts.append(details(run.name, f"<pre>{escape(json.dumps(record, indent=2, default=str))}</pre>"))
+        text = escape(json.dumps(record, indent=2, default=str))
+        parts.append(f"<details><summary>{escape(run.name)}</summary>\n<pre>{text}</pre></details>")
     return section("Hardware, versions and commands", *parts)

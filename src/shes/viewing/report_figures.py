@@ -7,10 +7,11 @@ from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
 from shes.algorithms.contract import Explored
-from shes.drawing.renderer import Extent, Outline, extent_of, outlines
+from shes.drawing.renderer import extent_of, outlines
 from shes.runs.build import open_run
 from shes.runs.folder import RunFolder
 from shes.types import F64Array, FloatArray
@@ -159,86 +160,60 @@ def _scatter(x: FloatArray, y: FloatArray, **look: Any) -> dict[str, Any]:
     return {"type": "scatter", **rounded, **look}
 
 
-class EpisodePath(NamedTuple):
-    """Where the robot was in one episode."""
+def play_maps(run: Path, episodes: int, seed: int | None = None) -> list[Figure]:
+    """Play the first of the episodes that `evaluate` runs, at most `MOST_EPISODES`, and return their map.
 
-    path: F64Array
-    """Positions of the robot at its start and after each step [steps + 1, 2] in metres."""
-    goals: F64Array
-    """The goals in the order in which they were set [goals, 2] in metres; empty if there are none."""
-    score: float
-
-
-class WorldMap(NamedTuple):
-    """Episodes of an agent in its world."""
-
-    episodes: list[EpisodePath]
-    step_s: float
-    outlines: list[Outline]
-    """The world's boxes; none for an environment that draws itself."""
-    extent: Extent | None
-    """Area of the world; None for an environment that draws itself."""
-    explored: Explored | None
-    """Findings of the run's search for a way at its end; None without a search."""
-
-
-def play_episodes(run: Path, episodes: int, seed: int | None = None) -> WorldMap:
-    """Play the first of the episodes that `evaluate` runs, at most `MOST_EPISODES`, and return their paths."""
+    An entry of its legend shows and hides path and goals of one episode. After a search for a way its map comes second:
+    the cells reached by the end of the run, and the way found. Raise ConfigError if the robot's position is unknown.
+    """
     playback = Playback(run, "best", seed)
     task = playback.task
     try:
-        model = None if task.draws_itself else task.world_to_draw().compile()
-        played = [_played(playback, playback.seed_of(number)) for number in range(min(episodes, MOST_EPISODES))]
+        layout = _map_layout(None if task.draws_itself else task.world_to_draw().compile())
+        traces = [each for number in range(min(episodes, MOST_EPISODES)) for each in _episode_traces(playback, number)]
     finally:
         task.close()
-    boxes, extent = ([], None) if model is None else (outlines(model), extent_of(model))
     has_last = RunFolder.open(run).checkpoint_path("last").exists()
     opened = open_run(run, "last" if has_last else "best", device="cpu")
-    return WorldMap(played, task.step_s, boxes, extent, opened.algorithm.explored(opened.state))
+    explored = opened.algorithm.explored(opened.state)
+    searches = [] if explored is None else [_search_traces(explored)]
+    return [{"data": data, "layout": layout} for data in (traces, *searches)]
 
 
-def _played(playback: Playback, seed: int) -> EpisodePath:
-    """Play an episode; raise ConfigError if the environment does not tell the robot's position."""
+def _episode_traces(playback: Playback, number: int) -> Iterator[dict[str, Any]]:
+    """Play an episode; yield its path, its goals as crosses, and its end as a dot."""
     task, path, goals = playback.task, list[F64Array](), list[F64Array]()
-    for _ in playback.play(seed):
+    for _ in playback.play(playback.seed_of(number)):
         task.check_position()
         path.append(task.position[0].copy())
         if playback.goal is not None and (not goals or (goals[-1] != playback.goal).any()):
             goals.append(playback.goal.copy())
-    return EpisodePath(np.stack(path), np.reshape(goals, (-1, 2)), float(task.score[0]))
+    name = f"episode {number}, score {task.score[0]:g}"
+    end = f"{name}: its end, after {(len(path) - 1) * task.step_s:.1f} s"
+    cross = {"color": _GOAL, "size": 6, "symbol": "x-thin", "line": {"width": 1.5, "color": _GOAL}}
+    own = {"legendgroup": name, "hovertemplate": f"{name}<br>(%{{x:.1f}}, %{{y:.1f}}) m<extra></extra>"}
+    yield _scatter(
+        *np.transpose(path), **own, name=name, mode="lines", line={"color": _PATH, "width": 1.5}, opacity=0.6
+    )
+    yield _scatter(*np.reshape(goals, (-1, 2)).T, **own, mode="markers", marker=cross, showlegend=False)
+    own["hovertemplate"] = f"{end}<extra></extra>"
+    yield _scatter(*path[-1][:, None], **own, mode="markers", marker={"color": _PATH, "size": 8}, showlegend=False)
 
 
-def map_figure(world: WorldMap) -> Figure:
-    """Return the map of the episodes; an entry of its legend shows and hides path and goals of one."""
-    data = [trace for number, each in enumerate(world.episodes) for trace in _episode_traces(number, each, world)]
-    return {"data": data, "layout": _map_layout(world)}
-
-
-def search_figure(world: WorldMap, explored: Explored) -> Figure:
-    """Return the map of a search for a way: the cells reached, and the way found with its points."""
+def _search_traces(explored: Explored) -> list[dict[str, Any]]:
+    """Return the cells that a search for a way reached, and the way found with its points."""
     half = _CELL_HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [np.nan, np.nan]])
     squares = (explored.places[:, None] + half).reshape(-1, 2)
     way = {"mode": "lines+markers", "line": {"color": _PATH}, "name": f"way found, {len(explored.way)} points"}
     cells = {"mode": "lines", "fill": "toself", "fillcolor": _CELL, "line": {"width": 0}, "hoverinfo": "skip"}
     cells["name"] = f"{len(explored.places)} cells reached"
-    return {"data": [_scatter(*squares.T, **cells), _scatter(*explored.way.T, **way)], "layout": _map_layout(world)}
+    return [_scatter(*squares.T, **cells), _scatter(*explored.way.T, **way)]
 
 
-def _episode_traces(number: int, episode: EpisodePath, world: WorldMap) -> Iterator[dict[str, Any]]:
-    """Yield the path of an episode, its goals as crosses, and its end as a dot."""
-    name = f"episode {number}, score {episode.score:g}"
-    end = f"{name}: its end, after {(len(episode.path) - 1) * world.step_s:.1f} s"
-    cross = {"color": _GOAL, "size": 6, "symbol": "x-thin", "line": {"width": 1.5, "color": _GOAL}}
-    own = {"legendgroup": name, "hovertemplate": f"{name}<br>(%{{x:.1f}}, %{{y:.1f}}) m<extra></extra>"}
-    yield _scatter(*episode.path.T, **own, name=name, mode="lines", line={"color": _PATH, "width": 1.5}, opacity=0.6)
-    yield _scatter(*episode.goals.T, **own, mode="markers", marker=cross, showlegend=False)
-    own["hovertemplate"] = f"{end}<extra></extra>"
-    yield _scatter(*episode.path[-1:].T, **own, mode="markers", marker={"color": _PATH, "size": 8}, showlegend=False)
-
-
-def _map_layout(world: WorldMap) -> dict[str, Any]:
-    """Return the layout of a map, with the world in it."""
-    left, bottom, right, top = world.extent or (None,) * 4
+def _map_layout(model: mujoco.MjModel | None) -> dict[str, Any]:
+    """Return the layout of a map with the world of `model`; an environment that draws itself has none."""
+    boxes = [] if model is None else outlines(model, mujoco.MjData(model))
+    left, bottom, right, top = (None,) * 4 if model is None else extent_of(model)
     shapes = [
         {
             "type": "path",
@@ -247,9 +222,8 @@ def _map_layout(world: WorldMap) -> dict[str, Any]:
             "line": {"width": 0},
             "layer": "below",
         }
-        for outline in world.outlines
+        for outline in boxes
     ]
-    has_platforms = any(outline.kind == "platform" for outline in world.outlines)
     return {
         "xaxis": {"range": [left, right], "title": {"text": "x in metres"}, "constrain": "domain"},
         "yaxis": {"range": [bottom, top], "title": {"text": "y in metres"}, "scaleanchor": "x", "constrain": "domain"},
@@ -257,5 +231,5 @@ def _map_layout(world: WorldMap) -> dict[str, Any]:
         "hovermode": "closest",
         "height": _MAP_PIXELS,
         "margin": {"l": 60, "r": 20, "t": 30, "b": 50},
-        "plot_bgcolor": _CHASM if has_platforms else _GROUND,
+        "plot_bgcolor": _CHASM if any(outline.kind == "platform" for outline in boxes) else _GROUND,
     }

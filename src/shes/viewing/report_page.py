@@ -55,17 +55,6 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return whole if lines else ""
 
 
-def details(summary: str, content: str) -> str:
-    """Return `content`, which is shown on demand."""
-    return f"<details><summary>{escape(summary)}</summary>\n{content}</details>"
-
-
 def plot(name: str) -> str:
     """Return the place of the figure `name`."""
     return f'<div class="plot" id="{escape(name)}"></div>'
-
-
-def cards(titled: Iterable[tuple[str, str]]) -> str:
-    """Return a grid of contents, each below its title."""
-    made = [f'<div class="card"><h3>{escape(title)}</h3>{content}</div>' for title, content in titled]
-    return "\n".join(['<div class="cards">', *made, "</div>"])

@@ -120,17 +120,16 @@ def _encode(ffmpeg: str, file: Path, frames: Iterable[Picture]) -> str | None:
         subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, start_new_session=True) as encoder,
     ):
         assert encoder.stdin is not None
-        is_broken = False
         try:
             for frame in chain([first], stream):
                 encoder.stdin.write(frame.tobytes())
             encoder.stdin.close()
         except BrokenPipeError:
-            is_broken = True
+            pass  # it says why in its log
         except BaseException:
             encoder.kill()
             raise
-        if encoder.wait() == 0 and not is_broken and file.exists():
+        if encoder.wait() == 0 and file.exists():
             return None
         log.seek(0)
         return " ".join(log.read().decode(errors="replace").split())[-_SHOWN_LOG:]
