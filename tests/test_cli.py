@@ -146,7 +146,7 @@ def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
     def envs():
         raise MemoryError
 
-    monkeypatch.setattr("shes.envs.catalogue.list_environments", envs)
+    monkeypatch.setattr("shes.envs.named_environments.list_environments", envs)
     assert main(["envs"]) == 2
     assert re.fullmatch(r"Error: not enough memory \(no more is free\)\. .*\n", capsys.readouterr().err)
 

@@ -10,9 +10,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, yaw
+from shes.envs.bodies.body import Body, ObservationElement, elements, yaw
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.types import BoolArray, F64Array
 
 TORSO_HEIGHT_M = 0.75

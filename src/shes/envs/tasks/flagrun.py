@@ -9,9 +9,8 @@ from typing import Annotated, Any, ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.markers import TARGET, Marker, ball
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world

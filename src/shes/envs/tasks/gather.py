@@ -12,9 +12,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, ObservationElement
 from shes.envs.markers import FOOD, POISON, Marker, ball, line
-from shes.envs.observation_spec import ObservationElement
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world

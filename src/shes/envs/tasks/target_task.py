@@ -9,10 +9,9 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker, ball, disc
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
 from shes.envs.worlds import Grid, add_grid, empty_world

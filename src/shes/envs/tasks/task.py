@@ -14,9 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.episode_batch import EpisodeBatch, Reader
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ShapeError, UnknownNameError
