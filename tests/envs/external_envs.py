@@ -86,13 +86,6 @@ class Silent(Car):
         return {}
 
 
-class Late(Car):
-    """A car that reports success only at the end of an episode."""
-
-    def _info(self):
-        return {"success": bool(self.place[0] > self.target[0])} if 0 < self.ends[0] <= self.age else {}
-
-
 class Stepper(Car):
     """A car with four discrete actions, starting at 3: right, up, left, down."""
 
@@ -149,5 +142,5 @@ def locate_by_info(observation, info):
 
 def register():
     """Register the classes in Gymnasium."""
-    for cls in (Car, Silent, Late, Stepper, Body, Holder):
+    for cls in (Car, Silent, Stepper, Body, Holder):
         gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=MAX_STEPS)

@@ -39,7 +39,11 @@ ALLOWED_M = {
 def boxes_of(model, prefix):
     """Return centres and half sizes [B, 3] of the geoms whose name begins with `prefix`; walls are infinitely high."""
     found = [each for each in map(model.geom, range(model.ngeom)) if each.name.startswith(prefix)]
-    center, half = np.array([[model.body_pos[each.bodyid[0]] + each.pos, each.size] for each in found]).reshape(-1, 2, 3).swapaxes(0, 1)
+    center, half = (
+        np.array([[model.body_pos[each.bodyid[0]] + each.pos, each.size] for each in found])
+        .reshape(-1, 2, 3)
+        .swapaxes(0, 1)
+    )
     return center, half + [0, 0, 100.0 * (prefix == "wall")]
 
 
@@ -87,7 +91,7 @@ def choose_starts(task, rng):
     model, clearance = task.sim.model, CLEARANCE_M[task.body.name]
     walls, block, platforms = (boxes_of(model, prefix) for prefix in ("wall", "block", "platform"))
     centers, halves = (np.vstack(each)[:, :2] for each in zip(walls, block, strict=True))
-    places = rng.uniform((centers - halves).min(axis=0), (centers + halves).max(axis=0), (20_000, 2))
+    places = rng.uniform((centers - halves).min(axis=0), (centers + halves).max(axis=0), (40_000, 2))
     offset = centers - places[:, None]
     gaps = np.sign(offset) * np.maximum(np.abs(offset) - halves, 0)  # to the nearest point of each obstacle
     nearest = np.linalg.norm(gaps, axis=2).argmin(axis=1)
