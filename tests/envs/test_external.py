@@ -94,6 +94,7 @@ def test_our_own_point_maze_is_the_same_from_outside():
 def test_dict_observations_are_flat_and_a_function_locates(locate):
     task, env = start(1, seeds=[3], locate=locate), Car()
     seen, _ = env.reset(seed=3)
+    assert task.step_s == 1 / Car.metadata["render_fps"]
     assert_array_equal(task.primitive_view, [0, 1, 2, 3, 4, 5])  # all but the desired goal
     for control in draw_actions(task, 5):
         assert_array_equal(task.observe()[0, 3:], [*seen["pose"], *seen["desired_goal"]])  # the gear has three values
@@ -341,11 +342,6 @@ def test_what_does_not_fit_is_refused(make, settings, message):
 
     with pytest.raises(REFUSED, match=message):
         use()
-
-
-def test_a_frame_rate_may_be_a_text():
-    register_external("slow", with_space(metadata={"render_fps": "20"}))
-    assert find_environment("slow").make(1).step_s == 0.05
 
 
 @pytest.mark.parametrize(

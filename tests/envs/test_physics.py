@@ -39,12 +39,9 @@ ALLOWED_M = {
 def boxes_of(model, prefix):
     """Return centres and half sizes [B, 3] of the geoms whose name begins with `prefix`; walls are infinitely high."""
     found = [each for each in map(model.geom, range(model.ngeom)) if each.name.startswith(prefix)]
-    center, half = (
-        np.array([[model.body_pos[each.bodyid[0]] + each.pos, each.size] for each in found])
-        .reshape(-1, 2, 3)
-        .swapaxes(0, 1)
-    )
-    return center, half + [0, 0, 100.0 * (prefix == "wall")]
+    center = np.array([model.body_pos[each.bodyid[0]] + each.pos for each in found]).reshape(-1, 3)
+    half = np.array([each.size for each in found]).reshape(-1, 3)
+    return center, half + np.array([0, 0, 100.0 * (prefix == "wall")])
 
 
 def depth_in(boxes, center, half=0.0):
