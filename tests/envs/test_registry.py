@@ -110,12 +110,7 @@ CLASS = r"a {} must be a subclass of shes\.\S*\.{}, got {}"
 @pytest.mark.parametrize(
     ("name", "body", "task", "message"),
     [
-        (
-            "Point-Corner",
-            Point,
-            Corner,
-            r"environment name must be lower-case words .*, got 'Point-Corner'\.",
-        ),
+        ("Point-Corner", Point, Corner, r"environment name must be lower-case words .*, got 'Point-Corner'\."),
         *(("ant-gather", *classes, TAKEN) for classes in ((Ant, Corner), (Point, Gather))),
         ("new", Point, Swept, r"option 'sweep' of .*has a name that is taken"),
         ("new", Rock, Corner, r"option 'mass' of .*Heavy has no default"),

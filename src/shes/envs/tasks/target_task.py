@@ -183,19 +183,14 @@ class TargetTask(Task):
         return np.sqrt(total)
 
     @property
-    def fallen(self) -> BoolArray:
+    def terminated(self) -> BoolArray:
         """Whether the robot lies [N]: in training with `max_tilt` alone."""
         return self.is_down() if self.ends_early else self.xp.zeros(self.num_episodes, dtype=np.bool_)
 
     @property
-    def terminated(self) -> BoolArray:
-        """Whether the episode has ended [N]: by a fall, or never."""
-        return self.fallen
-
-    @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
-        return np.where(self.fallen & (self._num_waypoints == 0), self.reward, 0.0)
+        return np.where(self.terminated & (self._num_waypoints == 0), self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:
