@@ -43,9 +43,9 @@ _CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
 
 def on_config(config: MkDocsConfig) -> None:
     """Add the page of every environment to the navigation, after the page of all."""
-    for entry in config.nav or []:
-        if entry.get("Environments"):
-            entry["Environments"] += [f"environments/{name}.md" for name in ENVIRONMENTS]
+    (reference,) = [entry["Reference"] for entry in config.nav or [] if "Reference" in entry]
+    (environments,) = [entry["Environments"] for entry in reference if "Environments" in entry]
+    environments += [f"environments/{name}.md" for name in ENVIRONMENTS]
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:

@@ -15,6 +15,7 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 MAX_LINES = {"random_search": 80, "run_exported": 145, "optuna_search": 25, "wandb_logging": 25}
 """Maximum number of lines of an example; 60 by default."""
 PRINTS = {
+    "animate_search": r"search\.gif: 809 places, a path of 300 steps",
     "es_on_sphere": r"generation 200: distance 0\.0\d+",
     "figure_from_csv": r"figure\.png: 470 generations of ant-gather-laptop",
     "flat_es": r"generation 30: return [1-9]\.\d+",
@@ -29,7 +30,8 @@ PRINTS = {
 """Last line that each example prints, which shows that it works and learns."""
 STAND_INS = Path(__file__).parent / "stand_ins"
 """Modules for packages that examples need and that are not installed."""
-SECONDS = {"flat_es", "hierarchical_run", "optuna_search", "own_environment", "own_reward", "wandb_logging"}
+SECONDS = {"animate_search", "flat_es", "hierarchical_run", "optuna_search", "own_environment", "own_reward"}
+SECONDS |= {"wandb_logging"}
 """Examples that take more than about three seconds."""
 
 

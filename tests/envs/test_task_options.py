@@ -98,9 +98,9 @@ def test_the_reward_is_the_progress_through_the_waypoints():
     assert task.distance.tolist() == [0, 10]
     start([3], 14)
     assert left_at((0, 0), (6, 0)) == pytest.approx([14, 8])
-    # Between 3 and 6 m of a waypoint it is passed where the next one is nearer.
+    # Between 3 and 8 m of a waypoint it is passed where the next one is nearer.
     start([3, 4], 14, 14)
-    assert left_at((10, 2.1), (1, 3.4)) == pytest.approx([np.hypot(4, 1.9) + 4, np.hypot(5, 3.4) + 8])
+    assert left_at((13.5, 2.1), (-1, 5)) == pytest.approx([np.hypot(7.5, 1.9) + 4, np.hypot(7, 5) + 8])
     assert left_at((2, 6.1), (1, 1.9)) == pytest.approx([np.hypot(4, 1.9), np.hypot(5, 1.9) + 8])
     evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
     evaluated.reset(both[:1], [1])

@@ -14,7 +14,7 @@ from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
-from shes.envs.worlds import Grid, add_grid, empty_world
+from shes.envs.worlds import CELL_SIZE_M, Grid, add_grid, empty_world
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
@@ -22,8 +22,8 @@ SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
 PASSED_DISTANCE_M = 3.0
 """A waypoint is passed nearer than this,"""
-BYPASSED_DISTANCE_M = 6.0
-"""or nearer than this if the next one is nearer still: the way may keep to the other side of a corridor."""
+BYPASSED_DISTANCE_M = CELL_SIZE_M
+"""or nearer than this if the next one is nearer still: the path may keep to the other side of a corridor."""
 CELL_M, BLOCK_CELL_M = 1.0, 2.0
 """Steps of a place in the robot's x and y, and in its height and the block's coordinates."""
 _MIN_COS_TILT = 0.5  # of a robot that stands: a tilt of 60 degrees
@@ -38,7 +38,7 @@ class TargetOptions(FallOptions):
     evaluation_target: Coordinates | None = None
     """Target of evaluation in metres; none is the task's own."""
     waypoints: Coordinates | None = None
-    """Points on the path to the target, in order. Each is passed within 3 m, or within 6 m if the next one is nearer.
+    """Points on the path to the target, in order. Each is passed within 3 m, or within 8 m if the next one is nearer.
     The reward of training is the progress along the path, in metres. Evaluation does not use them."""
 
     @property
