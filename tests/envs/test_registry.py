@@ -117,7 +117,7 @@ CLASS = r"a {} must be a subclass of shes\.\S*\.{}, got {}"
         ("new", Corner, Corner, CLASS.format("body", "Body", r"<class '.*Corner'>\. Write class Y")),
         ("new", Point, Point, CLASS.format("task", "Task", r"<class '.*Point'>\. Write class Your")),
         ("new", Body, Corner, r"body shes\.\S*\.Body lacks add_to, .*name, .*says what each of them is: add them"),
-        ("new", Point, Task, r"task shes\.\S*\.Task lacks .*build_world, .*observe, .*name, description\. "),
+        ("new", Point, Task, r"task shes\.\S*\.Task lacks .*observation_spec, .*observe, .*name, description\. "),
         ("new", Point, Lonely, r"task .*Lonely cannot be constructed with 4 arguments: too many .*Change its __init__"),
     ],
 )

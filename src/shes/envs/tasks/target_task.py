@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, ObservationElement, elements
+from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
-from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
-from shes.envs.worlds import CELL_SIZE_M, Grid, add_grid, empty_world
+from shes.envs.tasks.task_options import Coordinates, FallOptions
+from shes.envs.worlds import CELL_SIZE_M
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
@@ -62,8 +61,6 @@ class TargetTask(Task):
     options: Any
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     has_places: ClassVar[bool] = True
-    grid: ClassVar[Grid]
-    """The grid of the world; see `shes.envs.worlds`."""
     block_axes: ClassVar[str] = ""
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
@@ -134,14 +131,6 @@ class TargetTask(Task):
         way = options.waypoints
         if way is not None and len(way) % size:
             raise ConfigError(f"waypoints of {cls.name} must be {size} coordinates each, got {way}. Set --waypoints.")
-
-    @classmethod
-    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the world of `grid` with the body in it."""
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=bool(cls.block_axes))
-        body.add_to(spec, cls.ground_m)
-        add_grid(spec, cls.grid)
-        return spec
 
     @property
     def _observed_axes(self) -> str:
