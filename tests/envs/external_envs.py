@@ -5,7 +5,6 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box, Dict, Discrete
 
-STEP_M = 0.1
 MAX_STEPS = 7
 """Time limit of the registration of every environment here."""
 
@@ -25,7 +24,6 @@ class Car(gymnasium.Env):
         """Make a car. `spoils`, "pose" or "pay", is `value` from the third step on; `fault` begins with the second."""
         self.render_mode, self.fault = render_mode, fault
         self.ends, self.spoils, self.value = (terminates_after, truncates_after), spoils, value
-        self.shown = 0
 
     def _observe(self):
         return {
@@ -49,9 +47,8 @@ class Car(gymnasium.Env):
     def step(self, action):
         assert self.action_space.contains(action), action
         self.age += 1
-        self.place = self.place + STEP_M * action[:2]
+        self.place = self.place + 0.1 * action[:2]
         self.yaw += 0.5 * float(action[2])
-        self.shown += self.render_mode == "human"
         terminated, truncated = (0 < after <= self.age for after in self.ends)
         reward = -float(np.abs(self.place - self.target).sum())
         reward = self.value if self.age > 2 and self.spoils == "pay" else reward
@@ -87,15 +84,9 @@ class Silent(Car):
 
 
 class Stepper(Car):
-    """A car with four discrete actions, starting at 3: right, up, left, down."""
+    """A car with four discrete actions, starting at 3."""
 
     action_space = Discrete(4, start=3)
-
-    def step(self, action):
-        assert self.action_space.contains(action), action
-        self.age += 1
-        self.place = self.place + np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])[action - 3]
-        return self._observe(), 0.0, False, False, self._info()
 
 
 class Body(gymnasium.Env):

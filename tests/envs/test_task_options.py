@@ -34,12 +34,10 @@ def test_a_value_out_of_range_is_refused_by_the_task(option, wrong, message):
             kind(**{option: wrong})
 
 
-def test_gymnasium_takes_the_options_of_the_task_and_no_other():
+def test_gymnasium_takes_the_options_of_the_task():
     env = gymnasium.make("shes/PointMaze-v0", target=np.array([8, 3.5]), evaluation_target=[1, 2], evaluation=True)
     env.reset(seed=0)
     np.testing.assert_array_equal(env.unwrapped.task.target, [[1.0, 2.0]])
-    with pytest.raises(ConfigError, match=r"the environment has no option 'observe_block'\. Options: "):
-        gymnasium.make("shes/PointMaze-v0", observe_block=True)
 
 
 FIXED = {"target": (1, 2), "target_sampling": "free_cells"}
