@@ -37,13 +37,18 @@ def distance_between(one, other):
 class ReferenceEpisode:
     """What all tasks share: one robot in one world, reset and stepped by plain MuJoCo calls."""
 
+    reset_noise = 0.1
+    num_point = (2, 2)
+    """Size of the point's qpos and qvel."""
     is_over = False
     """Whether the task ends the episode here."""
 
-    def __init__(self, body, spec, model, *, reset_noise=0.1):
-        self.body, self.spec, self.model, self.reset_noise = body, spec, model, reset_noise
-        self.data = mujoco.MjData(model)
-        self.num_robot = (15, 14) if body == "ant" else (2, 2)
+    def __init__(self, body, spec, model, **options):
+        """Set the `options`, which are class attributes, in place of their defaults."""
+        assert all(hasattr(self, name) for name in options)
+        vars(self).update(options)
+        self.body, self.spec, self.model, self.data = body, spec, model, mujoco.MjData(model)
+        self.num_robot = (15, 14) if body == "ant" else self.num_point
 
     def start_task(self):
         """Make the task's own draws of a reset; the robot is in place."""
@@ -105,15 +110,16 @@ class ReferenceNavigation(ReferenceEpisode):
     target_scale = 1.0
     """Factor on the observed target, with shes."""
 
-    def __init__(self, *arguments, target=None, sees_block=None, **options):
-        super().__init__(*arguments, **options)
-        self.is_fixed, self.target = target is not None, np.array(target or self.own_target)
-        self.sees_block = self.spec == "shes" if sees_block is None else sees_block
+    is_fixed = True
+    """Whether the target is not drawn."""
+    sees_block = None
+    """Whether the block is observed; None is as in the specification."""
 
     def observation(self):
-        seen = self.coordinates(*((None, None) if self.sees_block else self.num_robot))
+        sees_block = self.spec == "shes" if self.sees_block is None else self.sees_block
+        seen = self.coordinates(*((None, None) if sees_block else self.num_robot))
         scale = self.target_scale if self.spec == "shes" else 1.0
-        return np.array([*seen, self.steps * 0.001, *(self.target * scale)])
+        return np.array([*seen, self.steps * 0.001, *(np.array(self.target) * scale)])
 
     def play_task(self):
         return -self.distance
@@ -134,11 +140,7 @@ class ReferenceNavigation(ReferenceEpisode):
 class ReferenceMaze(ReferenceNavigation):
     """Maze. A reset draws the target, with `free_cells` again until it lies in no wall."""
 
-    own_target, target_scale = (0.0, 16.0), 0.01
-
-    def __init__(self, *arguments, free_cells=False, **options):
-        super().__init__(*arguments, **options)
-        self.free_cells = free_cells
+    target, target_scale, is_fixed, free_cells = (0.0, 16.0), 0.01, False, False
 
     def start_task(self):
         if not self.is_fixed:
@@ -148,26 +150,19 @@ class ReferenceMaze(ReferenceNavigation):
 
 
 class ReferencePush(ReferenceNavigation):
-    own_target = (0.0, 19.0)
+    target = (0.0, 19.0)
 
 
 class ReferenceFall(ReferenceNavigation):
     """Fall. The point has a third qpos, its height, and a third qvel."""
 
-    own_target = (0.0, 27.0, 4.5)
-
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **options)
-        if self.body == "point":
-            self.num_robot = (3, 3)
+    target, num_point = (0.0, 27.0, 4.5), (3, 3)
 
 
 class ReferenceFlagrun(ReferenceEpisode):
     """Follow goals that move at the end of every `interval` steps, whether or not the episode ended there."""
 
-    def __init__(self, *arguments, interval=25, **options):
-        super().__init__(*arguments, **options)
-        self.interval = interval
+    interval = 25
 
     def start_task(self):
         self.was_near = False

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from shes.envs.bodies.ant import Ant
 from shes.envs.named_environments import find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts import variants
-from tests.envs.reference_tasks import REFERENCES
+from tests.envs.reference_tasks import REFERENCES, yaw
 from tests.envs.reference_worlds import world, world_xml
 
 VARIANTS = [pytest.param(*each, id="-".join(each)) for each in variants.VARIANTS]
@@ -167,7 +168,7 @@ def test_success_begins_just_below_its_radius(name, spec):
             for noise in (0.0, 0.5)
         ),
         *(
-            (name, options, {"target": target})
+            (name, options, {"target": target, "is_fixed": True})
             for name, own, target in (
                 ("point-maze", (0.0, 16.0), (8.0, 3.5)),
                 ("point-push", (0.0, 19.0), (-7.5, 1.0)),
@@ -193,7 +194,20 @@ def test_with_options_a_task_equals_its_reference(name, options, reference, spec
     play(name, num_episodes, steps, spec, reference, **options)
 
 
-# Worlds.
+# Robots and worlds.
+
+
+def test_yaw_equals_the_reference_for_any_rotation():
+    qpos = np.random.default_rng(0).normal(size=(200, 15))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    assert_allclose(Ant().heading(qpos), [yaw(each[3:7]) for each in qpos], atol=1e-9)
+
+
+def test_the_ant_has_fallen_outside_20_cm_to_1_m():
+    heights = [-1, 0.19, np.nextafter(0.2, 0), 0.2, 0.75, 1.0, np.nextafter(1.0, 2), 1.1, np.nan]
+    qpos = np.zeros((len(heights), 15))
+    qpos[:, 2] = heights
+    assert_array_equal(Ant().fallen(qpos), [True, True, True, False, False, False, True, True, True])
 
 
 def model_differences(model, other):
