@@ -29,19 +29,12 @@ def restored():
     ENVIRONMENTS.update(before)
 
 
-def test_a_name_is_of_its_body_and_its_task():
-    for name, environment in ENVIRONMENTS.items():
-        assert name == f"{environment.body.name}-{environment.task.name}"
-        assert SPECS_OF[name] == environment.task.specs  # what Gymnasium is told of without importing it
-
-
 @pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
-@pytest.mark.parametrize(
-    ("wrong", "words"), [("pointgather", "Did you mean 'point-gather'?"), ("zzz", "Known: ant-fall, ")]
-)
-def test_an_unknown_environment_is_told_the_nearest_name(call, wrong, words):
-    with pytest.raises(UnknownNameError, match=re.escape(f"unknown environment '{wrong}'. {words}")) as caught:
-        call(wrong)
+def test_an_unknown_environment_is_told_the_nearest_name(call):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
+    ) as caught:
+        call("pointgather")
     assert all(name in str(caught.value) for name in ENVIRONMENTS)
     assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)
 
@@ -67,6 +60,9 @@ def test_an_id_makes_the_environment_of_its_name(variant):
 
 def test_every_environment_has_its_id_in_both_specifications(monkeypatch):
     assert {each.id for each in VARIANTS} == {f"shes/{name}{spec}-v0" for name in SIZES for spec in ("", "Hiro")}
+    for name, environment in ENVIRONMENTS.items():
+        assert name == f"{environment.body.name}-{environment.task.name}"
+        assert SPECS_OF[name] == environment.task.specs  # what Gymnasium is told of without importing it
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     monkeypatch.setattr("shes.envs.gymnasium_ids.SPECS_OF", {})
