@@ -3,8 +3,8 @@
 import numpy as np
 
 import shes
+from shes.envs.bodies.body import elements
 from shes.envs.bodies.point import Point
-from shes.envs.observation_spec import elements
 from shes.envs.tasks.task import Task, TaskDescription
 from shes.envs.worlds import empty_world
 

@@ -5,8 +5,8 @@ import numpy as np
 from shes import register_environment, register_goal_encoding, register_primitive_reward
 from shes.agents.goals import GoalEncoding
 from shes.agents.rewards import PrimitiveReward
+from shes.envs.bodies.body import elements
 from shes.envs.bodies.point import Point
-from shes.envs.observation_spec import elements
 from shes.envs.tasks.task import Task, TaskDescription
 from shes.envs.worlds import empty_world
 

@@ -5,7 +5,6 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box, Dict, Discrete
 
-STEP_M = 0.1
 MAX_STEPS = 7
 """Time limit of the registration of every environment here."""
 
@@ -25,7 +24,6 @@ class Car(gymnasium.Env):
         """Make a car. `spoils`, "pose" or "pay", is `value` from the third step on; `fault` begins with the second."""
         self.render_mode, self.fault = render_mode, fault
         self.ends, self.spoils, self.value = (terminates_after, truncates_after), spoils, value
-        self.shown = 0
 
     def _observe(self):
         return {
@@ -49,9 +47,8 @@ class Car(gymnasium.Env):
     def step(self, action):
         assert self.action_space.contains(action), action
         self.age += 1
-        self.place = self.place + STEP_M * action[:2]
+        self.place = self.place + 0.1 * action[:2]
         self.yaw += 0.5 * float(action[2])
-        self.shown += self.render_mode == "human"
         terminated, truncated = (0 < after <= self.age for after in self.ends)
         reward = -float(np.abs(self.place - self.target).sum())
         reward = self.value if self.age > 2 and self.spoils == "pay" else reward
@@ -86,23 +83,10 @@ class Silent(Car):
         return {}
 
 
-class Late(Car):
-    """A car that reports success only at the end of an episode."""
-
-    def _info(self):
-        return {"success": bool(self.place[0] > self.target[0])} if 0 < self.ends[0] <= self.age else {}
-
-
 class Stepper(Car):
-    """A car with four discrete actions, starting at 3: right, up, left, down."""
+    """A car with four discrete actions, starting at 3."""
 
     action_space = Discrete(4, start=3)
-
-    def step(self, action):
-        assert self.action_space.contains(action), action
-        self.age += 1
-        self.place = self.place + np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])[action - 3]
-        return self._observe(), 0.0, False, False, self._info()
 
 
 class Body(gymnasium.Env):
@@ -149,5 +133,5 @@ def locate_by_info(observation, info):
 
 def register():
     """Register the classes in Gymnasium."""
-    for cls in (Car, Silent, Late, Stepper, Body, Holder):
+    for cls in (Car, Silent, Stepper, Body, Holder):
         gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=MAX_STEPS)

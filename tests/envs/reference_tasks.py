@@ -1,33 +1,11 @@
-"""Plain reference of every task, written independently of the package for tests.
+"""Plain reference of every task, written independently of the package, for its tests.
 
-Sources: docs/environments/index.md and docs/algorithm.md (they decide); then sash-a/HrlMuJoCoEnvs.jl (JR)
-for `shes`, Nachum et al. 2018's efficient-hrl and rllab's GatherEnv for `hiro`. One episode, one `MjData`, plain loops.
+Sources: docs/environments/index.md (it decides); then HrlMuJoCoEnvs.jl for `shes`, efficient-hrl and rllab's GatherEnv
+for `hiro`. One episode, one `MjData`, plain loops.
 
-What these leave open about tasks, and how it is decided here (worlds: see reference_worlds.py):
- 1. hiro Maze, Push, Fall: the observation is the robot's 30 numbers and then the raw target (32, 32, 33), which only
-    the high level sees. qvel is unclipped in every hiro task.
- 2. hiro Gather's "t" is t * 0.001, as in the other tasks. It stands before the readings, in shes Gather behind them.
- 3. Maze's score is against the episode's own target, which is (0, 16) in evaluation (JR: always against (0, 16)).
-    The official hiro evaluates three targets, (16, 0), (16, 16), (0, 16); here only (0, 16).
- 4. Score, success and distance are those of the last step played; after a reset, of the start.
- 5. `free_cells` are all cells without a wall, the robot's own included. The whole pair is redrawn.
- 6. Flagrun's new goal comes at the end of every c-th step, after the reward for the old goal was paid, so the returned
-    observation shows the new goal. `distance` is to the new goal, success is of the old one, like the reward. d_c is
-    |goal - position|, computed from the sum `goal = position + offset`, not from the offset.
- 7. Flagrun ends on a fall and pays the progress reward on that step too. Its success is that the last step ended nearer
-    than 1 to the goal that it was for; False after a reset. Its `hiro` is the same with RK4 and unclipped qvel.
- 8. Flagrun for the point: sin, cos, distance / 1000, qpos 2, qvel 2 (clipped in shes); yaw 0.
- 9. hiro Gather: sensors span 2 pi around the yaw (as JR and SNN4HRL; rllab's own default is pi). The fall is looked at
-    before pickups. Success is a score above 0.
-10. Divergence: the step ends the episode with reward 0; score is 0 and success False from then on.
-11. The robot's noise is drawn for all of its qpos and qvel: for the point 2 and 2 numbers, in Fall 3 and 3. With
-    noise 0 nothing is drawn.
-
-Arithmetic, for bit-identical comparison: every distance is sqrt(dx * dx + dy * dy [+ dz * dz]), summed in this order;
-rewards are -distance, or 1 - distance / d_c [+ 1]; sin, cos and atan2 are NumPy's, and compare with a tolerance.
-
-Random draws: one generator per episode, `PCG64(SeedSequence(seed, spawn_key=(0,)))`. Every reset draws the robot's pose
-(uniform), its velocity (normal), and then what `start_task` draws.
+For bit-identical comparison every distance is sqrt(dx * dx + dy * dy [+ dz * dz]), summed in this order, and Flagrun's
+d_c is computed from `goal = position + offset`, not from the offset. There is one generator per episode. A reset draws
+the robot's pose (uniform), its velocity (normal), and then what `start_task` draws.
 """
 
 import math
@@ -35,13 +13,8 @@ import math
 import mujoco
 import numpy as np
 
-from tests.envs import reference_worlds as worlds
+from tests.envs.reference_worlds import is_in_wall
 
-REWARDED_RADIUS = 1.0
-SUCCESS_DISTANCE = 5.0
-VELOCITY_LIMIT = 10.0
-LOWEST_TORSO, HIGHEST_TORSO = 0.2, 1.0
-PHYSICS_STEPS = 5
 DIVERGENCE_WARNINGS = [getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}") for name in ("QPOS", "QVEL", "QACC", "CTRL")]
 
 
@@ -61,35 +34,27 @@ def distance_between(one, other):
     return math.sqrt(total)
 
 
-def clipped(velocities):
-    return [min(max(each, -VELOCITY_LIMIT), VELOCITY_LIMIT) for each in np.asarray(velocities).tolist()]
-
-
 class ReferenceEpisode:
-    """What all tasks share: one robot in one world, reset and stepped by plain MuJoCo calls.
+    """What all tasks share: one robot in one world, reset and stepped by plain MuJoCo calls."""
 
-    `model` is the one to simulate; without it the task's own MJCF text is compiled, with `integrator` (by default euler
-    for shes, rk4 for hiro). In a model the robot's qpos and qvel come first, the block's behind them.
-    """
+    reset_noise = 0.1
+    num_point = (2, 2)
+    """Size of the point's qpos and qvel."""
+    is_over = False
+    """Whether the task ends the episode here."""
 
-    def __init__(self, body, spec="shes", model=None, *, reset_noise=0.1, evaluation=False, integrator=None, **world):
-        self.body, self.spec = body, spec
-        self.reset_noise, self.evaluation = reset_noise, evaluation
-        if model is None:
-            integrator = integrator or {"shes": "euler", "hiro": "rk4"}[spec]
-            model = mujoco.MjModel.from_xml_string(self.xml(integrator=integrator, **world))
-        self.model, self.data = model, mujoco.MjData(model)
-        self.num_robot = (15, 14) if body == "ant" else (2, 2)
+    def __init__(self, body, spec, model, **options):
+        """Set the `options`, which are class attributes, in place of their defaults."""
+        assert all(hasattr(self, name) for name in options)
+        vars(self).update(options)
+        self.body, self.spec, self.model, self.data = body, spec, model, mujoco.MjData(model)
+        self.num_robot = (15, 14) if body == "ant" else self.num_point
 
     def start_task(self):
         """Make the task's own draws of a reset; the robot is in place."""
 
     def finish_step(self):
         """Do what comes after the reward and before the observation."""
-
-    def is_over(self):
-        """Return whether the task ends the episode here."""
-        return False
 
     def reset(self, seed):
         """Start the episode of this seed."""
@@ -106,16 +71,15 @@ class ReferenceEpisode:
 
     def step(self, control):
         """Play one control step of 0.1 s; `control` is in control units. Return whether the episode has ended."""
-        for _ in range(PHYSICS_STEPS):
+        for _ in range(5):
             self.data.ctrl[:] = control
             mujoco.mj_step(self.model, self.data)
         self.steps += 1
         self.diverged |= any(self.data.warning[warning].number > 0 for warning in DIVERGENCE_WARNINGS)
-        self.reward = self.play_task()
-        if self.diverged:
-            self.reward = 0.0
+        reward = self.play_task()
+        self.reward = 0.0 if self.diverged else reward
         self.running_return += self.reward
-        has_ended = self.diverged or self.is_over()
+        has_ended = self.diverged or self.is_over
         self.finish_step()
         return has_ended
 
@@ -130,41 +94,32 @@ class ReferenceEpisode:
     @property
     def has_fallen(self):
         """Whether the ant's torso is outside [0.2, 1.0]; a point cannot fall."""
-        return self.body == "ant" and not LOWEST_TORSO <= self.data.qpos[2] <= HIGHEST_TORSO
+        return self.body == "ant" and not 0.2 <= self.data.qpos[2] <= 1.0
 
-    def robot_observation(self):
-        """Return the robot's qpos and qvel (hiro: unclipped), without the block's."""
-        num_qpos, num_qvel = self.num_robot
-        velocities = self.data.qvel[:num_qvel]
-        return [*self.data.qpos[:num_qpos], *(clipped(velocities) if self.spec == "shes" else velocities)]
+    def coordinates(self, num_qpos, num_qvel):
+        """Return the first of qpos, and of qvel, which shes clips."""
+        velocities = self.data.qvel[:num_qvel].tolist()
+        if self.spec == "shes":
+            velocities = [min(max(each, -10.0), 10.0) for each in velocities]
+        return [*self.data.qpos[:num_qpos], *velocities]
 
 
 class ReferenceNavigation(ReferenceEpisode):
-    """Reach a target: what Maze, Push and Fall share.
-
-    shes: all qpos and qvel, clipped (robot, then block), t * 0.001, target * `target_scale`.
-    hiro: the robot's qpos and unclipped qvel, t * 0.001, and the raw target.
-    The reward is -distance after the step. It never ends early. Score: 1 if the distance is below 5, else 0.
-    """
+    """Reach a target: what Maze, Push and Fall share."""
 
     target_scale = 1.0
+    """Factor on the observed target, with shes."""
 
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **options)
-        self.target = np.array(self.fixed_target)
-
-    def xml(self, **options):
-        return worlds.world_xml(self.grid, self.body, **options)
+    is_fixed = True
+    """Whether the target is not drawn."""
+    sees_block = None
+    """Whether the block is observed; None is as in the specification."""
 
     def observation(self):
-        if self.spec == "hiro":
-            return np.array([*self.low_level_observation(), *self.target])
-        values = [*self.data.qpos, *clipped(self.data.qvel)]
-        return np.array([*values, self.steps * 0.001, *(self.target * self.target_scale)])
-
-    def low_level_observation(self):
-        """Return the state of hiro's low level, 30 numbers for the ant: no target, no block."""
-        return np.array([*self.robot_observation(), self.steps * 0.001])
+        sees_block = self.spec == "shes" if self.sees_block is None else self.sees_block
+        seen = self.coordinates(*((None, None) if sees_block else self.num_robot))
+        scale = self.target_scale if self.spec == "shes" else 1.0
+        return np.array([*seen, self.steps * 0.001, *(np.array(self.target) * scale)])
 
     def play_task(self):
         return -self.distance
@@ -175,7 +130,7 @@ class ReferenceNavigation(ReferenceEpisode):
 
     @property
     def success(self):
-        return not self.diverged and self.distance < SUCCESS_DISTANCE
+        return not self.diverged and self.distance < 5.0
 
     @property
     def score(self):
@@ -183,62 +138,31 @@ class ReferenceNavigation(ReferenceEpisode):
 
 
 class ReferenceMaze(ReferenceNavigation):
-    """Maze. shes: 15 + 14 + 1 + 2 = 32 for the ant, 7 for the point, target * 0.01. hiro: 30 (5) + 2.
+    """Maze. A reset draws the target, with `free_cells` again until it lies in no wall."""
 
-    Draws in training: `uniform(-4, 20, 2)`, the target; with `free_cells` again until it lies in a free cell.
-    """
-
-    grid, fixed_target, target_scale = worlds.MAZE, (0.0, 16.0), 0.01
-
-    def __init__(self, *arguments, free_cells=False, **options):
-        super().__init__(*arguments, **options)
-        self.free_cells = free_cells
+    target, target_scale, is_fixed, free_cells = (0.0, 16.0), 0.01, False, False
 
     def start_task(self):
-        if self.evaluation:
-            self.target = np.array(self.fixed_target)
-            return
-        self.target = self.rng.uniform(-4, 20, 2)
-        while self.free_cells and worlds.cell_at(self.grid, *self.target) == "#":
+        if not self.is_fixed:
             self.target = self.rng.uniform(-4, 20, 2)
+            while self.free_cells and is_in_wall("maze", *self.target):
+                self.target = self.rng.uniform(-4, 20, 2)
 
 
 class ReferencePush(ReferenceNavigation):
-    """Push. shes: 17 + 16 + 1 + 2 = 36 for the ant, 11 for the point, with the block's x, y; hiro: 30 (5) + 2."""
-
-    grid, fixed_target = worlds.PUSH, (0.0, 19.0)
+    target = (0.0, 19.0)
 
 
 class ReferenceFall(ReferenceNavigation):
-    """Fall. shes: 17 + 16 + 1 + 3 = 37 for the ant, 14 for the point, with the block's y, z; hiro: 30 (7) + 3.
+    """Fall. The point has a third qpos, its height, and a third qvel."""
 
-    The point has a third qpos, its height, and a third qvel.
-    """
-
-    grid, fixed_target = worlds.FALL, (0.0, 27.0, 4.5)
-
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **options)
-        if self.body == "point":
-            self.num_robot = (3, 3)
+    target, num_point = (0.0, 27.0, 4.5), (3, 3)
 
 
 class ReferenceFlagrun(ReferenceEpisode):
-    """Follow goals that move every `interval` steps.
+    """Follow goals that move at the end of every `interval` steps, whether or not the episode ended there."""
 
-    Observation: sin and cos of (bearing of the goal - yaw), distance / 1000, robot's qpos and qvel; 32 numbers for the
-    ant, 7 for the point. Reward: 1 - distance / d_c, and 1 more when nearer than 1. Score: the return.
-
-    Draws of a reset: `uniform(-4, 4, 2)`, again until its length is at least 1; the goal is that far from the robot.
-    The same after every step whose number (from 1) is a multiple of `interval`, whether or not the episode ended there.
-    """
-
-    def __init__(self, *arguments, interval=25, **options):
-        super().__init__(*arguments, **options)
-        self.interval = interval
-
-    def xml(self, **options):
-        return worlds.world_xml(worlds.GATHER, self.body, **options)
+    interval = 25
 
     def start_task(self):
         self.was_near = False
@@ -246,7 +170,7 @@ class ReferenceFlagrun(ReferenceEpisode):
 
     def play_task(self):
         """Return the progress toward the goal that was seen before the step."""
-        self.was_near = self.distance < REWARDED_RADIUS
+        self.was_near = self.distance < 1.0
         return 1.0 - self.distance / self.start_distance + (1.0 if self.was_near else 0.0)
 
     def finish_step(self):
@@ -255,18 +179,17 @@ class ReferenceFlagrun(ReferenceEpisode):
 
     def draw_goal(self):
         offset = self.rng.uniform(-4, 4, 2)
-        while distance_between(offset, (0.0, 0.0)) < REWARDED_RADIUS:
+        while distance_between(offset, (0.0, 0.0)) < 1.0:
             offset = self.rng.uniform(-4, 4, 2)
         self.goal = self.position + offset
         self.start_distance = self.distance
 
-    def is_over(self):
-        return self.has_fallen
+    is_over = ReferenceEpisode.has_fallen
 
     def observation(self):
         dx, dy = self.goal - self.position
         angle = np.arctan2(dy, dx) - self.heading
-        return np.array([np.sin(angle), np.cos(angle), self.distance / 1000, *self.robot_observation()])
+        return np.array([np.sin(angle), np.cos(angle), self.distance / 1000, *self.coordinates(*self.num_robot)])
 
     @property
     def distance(self):
@@ -282,30 +205,11 @@ class ReferenceFlagrun(ReferenceEpisode):
 
 
 class ReferenceGather(ReferenceEpisode):
-    """Gather: +1 food, -1 poison nearer than 1. Score: the highest running return, at least 0. Ends on a fall.
+    """Gather. Its draws of a reset are with shes `uniform(-10, 10, (32, 2))`, again until 16 are far enough.
 
-    shes: robot's qpos, clipped qvel, 10 food readings, 10 poison readings, t; 50 or 25 numbers. The step of a fall pays
-    its pickups. hiro: t stands before the readings, qvel is unclipped; the step of an ant's fall pays -10 in place of
-    its pickups, and the episode ends when nothing is left, too.
-
-    Draws of a reset. shes: `uniform(-10, 10, (32, 2))`, of which those at least 2 from the origin count, again until
-    there are 16. hiro: `permutation(99)`, as places in this list: x = -10, -8, ..., 8, for each x y = -10, -8, ..., 8,
+    With hiro they are `permutation(99)`, as places in this list: x = -10, -8, ..., 8, for each x y = -10, -8, ..., 8,
     without (0, 0). The first 8 are the food and the next 8 the poison.
     """
-
-    num_bins = 10
-    catch_distance = 1.0
-    penalty = -10.0
-
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **options)
-        self.sensor_range = {"shes": 8.0, "hiro": 6.0}[self.spec]
-
-    def xml(self, **options):
-        """Return the arena; with hiro its walls are at +-10.5."""
-        if self.spec == "hiro":
-            return worlds.hiro_gather_xml(self.body, **options)
-        return worlds.world_xml(worlds.GATHER, self.body, **options)
 
     def start_task(self):
         places = []
@@ -320,7 +224,7 @@ class ReferenceGather(ReferenceEpisode):
 
     def play_task(self):
         if self.has_fallen and self.spec == "hiro":
-            reward = self.penalty
+            reward = -10.0
         else:
             food, self.food = self.pick_up(self.food)
             poison, self.poison = self.pick_up(self.poison)
@@ -331,31 +235,30 @@ class ReferenceGather(ReferenceEpisode):
 
     def pick_up(self, things):
         """Return how many of these are nearer than 1, and the others."""
-        left = [thing for thing in things if distance_between(thing, self.position) >= self.catch_distance]
+        left = [thing for thing in things if distance_between(thing, self.position) >= 1.0]
         return len(things) - len(left), left
 
+    @property
     def is_over(self):
         return self.has_fallen or (self.spec == "hiro" and not (self.food or self.poison))
 
     def observation(self):
         time, readings = [self.steps * 0.001], self.readings(self.food) + self.readings(self.poison)
-        return np.array([*self.robot_observation(), *(time + readings if self.spec == "hiro" else readings + time)])
+        rest = time + readings if self.spec == "hiro" else readings + time
+        return np.array(self.coordinates(*self.num_robot) + rest)
 
     def readings(self, things):
-        """Return the reading of the nearest thing in each bin; bin 0 begins behind the robot, at bearing -pi.
-
-        shes: 1 - distance^2 / range^2, hiro: 1 - distance / range.
-        """
-        result = [0.0] * self.num_bins
+        """Return the reading of the nearest thing in each bin; bin 0 begins behind the robot, at bearing -pi."""
+        result, sensor_range = [0.0] * 10, 6.0 if self.spec == "hiro" else 8.0
         x, y = self.position
         for thing_x, thing_y in things:
             distance = distance_between((thing_x, thing_y), (x, y))
-            if distance > self.sensor_range:
+            if distance > sensor_range:
                 continue
             turn = (math.atan2(thing_y - y, thing_x - x) - self.heading + math.pi) / (2 * math.pi) % 1.0
-            bin_number = min(math.floor(turn * self.num_bins), self.num_bins - 1)
+            bin_number = min(math.floor(turn * 10), 9)
             squared = (thing_x - x) * (thing_x - x) + (thing_y - y) * (thing_y - y)
-            part = distance / self.sensor_range if self.spec == "hiro" else squared / self.sensor_range**2
+            part = distance / sensor_range if self.spec == "hiro" else squared / sensor_range**2
             result[bin_number] = max(result[bin_number], 1.0 - part)
         return result
 
@@ -371,3 +274,12 @@ class ReferenceGather(ReferenceEpisode):
     @property
     def success(self):
         return self.score > 0
+
+
+REFERENCES = {
+    "maze": ReferenceMaze,
+    "push": ReferencePush,
+    "fall": ReferenceFall,
+    "flagrun": ReferenceFlagrun,
+    "gather": ReferenceGather,
+}

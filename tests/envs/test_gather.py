@@ -11,14 +11,11 @@ from shes.envs.tasks.task_options import FallOptions
 FAR_AWAY = 1000.0
 
 
-def start(name="point-gather", food=(), poison=(), spec="shes", turn_deg=0.0):
+def start(name="point-gather", food=(), poison=(), spec="shes"):
     """Return one episode, at rest at the origin, with the given objects; the others are far away."""
     task = make_task(name, 1, FallOptions(reset_noise=0, spec=spec))
     task.reset(np.arange(1), [0])
     put(task, food, poison)
-    if turn_deg:
-        half = np.deg2rad(turn_deg / 2)
-        task.sim.qpos[0, 3:7] = [np.cos(half), 0, 0, np.sin(half)]
     return task
 
 
@@ -34,20 +31,6 @@ def put(task, food=(), poison=()):
 def step(task):
     task.step(np.arange(1), np.zeros((1, task.action_size)))
     return float(task.reward[0])
-
-
-def readings(task):
-    """Return the readings of food and poison [2, 10] after a step at rest."""
-    step(task)
-    return task.observe()[0, task.sensor_rings]
-
-
-def only(bin_number, value):
-    return value * (np.arange(10) == bin_number)
-
-
-def at(bearing_deg):
-    return 4 * np.array([np.cos(np.deg2rad(bearing_deg)), np.sin(np.deg2rad(bearing_deg))])
 
 
 def test_an_object_nearer_than_1_m_is_caught_once():
@@ -72,21 +55,25 @@ def test_an_object_shows_in_the_bin_of_its_bearing(kind):
         (0, 4): 7,
         (0, -4): 2,
     }.items():
-        seen = readings(start(**{("food", "poison")[kind]: [place]}))
-        expected = only(number, 1 - (place[0] ** 2 + place[1] ** 2) / 64)
+        task = start(**{("food", "poison")[kind]: [place]})
+        step(task)
+        seen = task.observe()[0, task.sensor_rings]
+        expected = (1 - (place[0] ** 2 + place[1] ** 2) / 64) * (np.arange(10) == number)
         np.testing.assert_allclose(seen[kind], expected, atol=1e-15, err_msg=str(place))
         assert not seen[1 - kind].any()
 
 
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
 def test_sensor_markers_show_distance_and_sector(spec):
-    task = start("ant-gather", poison=[at(40)], spec=spec, turn_deg=30)  # bin 5 is 30 to 66 degrees
+    place = 4 * np.array([np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))])
+    task = start("ant-gather", poison=[place], spec=spec)
+    task.sim.qpos[0, 3:7] = [np.cos(np.deg2rad(15)), 0, 0, np.sin(np.deg2rad(15))]  # bin 5 is 30 to 66 degrees
     step(task)
     ray, *arc = task.sensor_markers(0)
     robot, heading = task.position[0], np.rad2deg(task.heading[0])
     assert ray.position[:2] == tuple(robot)
     ends = np.array([arc[0].position, *(line.end for line in arc)])[:, :2] - robot
-    np.testing.assert_allclose(np.hypot(*ends.T), np.hypot(*(at(40) - robot)), rtol=1e-9)
+    np.testing.assert_allclose(np.hypot(*ends.T), np.hypot(*(place - robot)), rtol=1e-9)
     bearings = np.rad2deg(np.arctan2(ends[:, 1], ends[:, 0])) - heading
     np.testing.assert_allclose(bearings, np.linspace(0, 36, 7), atol=1e-9)
     assert {marker.color[:3] for marker in (ray, *arc)} == {POISON_COLOR[:3]}

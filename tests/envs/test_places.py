@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.errors import ConfigError
 
 STANDING, LYING = (1, 0, 0, 0), (0, 1, 0, 0)
 
@@ -69,11 +68,3 @@ def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
         task.update_features()
     task.set_way(np.array([[6.0, 0]]))  # shorter, and the simulation is not reset
     assert task.update_features().tolist() == [0]
-
-
-def test_without_a_target_there_are_neither_places_nor_a_way():
-    task = make_task("point-gather", 1)
-    for refused in (lambda: task.places(np.zeros((1, 9))), lambda: task.set_way(np.zeros((1, 2)))):
-        with pytest.raises(ConfigError, match=r"no way to .* in this environment\. Set --explore none\."):
-            refused()
-    task.set_way(None)

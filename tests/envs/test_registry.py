@@ -16,7 +16,6 @@ from shes.envs.tasks.task import Task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import Settings
-from shes.sim.simulator import CpuSimulator
 from tests.contracts.variants import VARIANTS
 from tests.e2e.own_classes import Corner
 
@@ -30,24 +29,12 @@ def restored():
     ENVIRONMENTS.update(before)
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_a_name_makes_its_body_and_its_task(name):
-    (body, kind), made = ENVIRONMENTS[name], []
-    task = make_task(name, 2, simulator=lambda *of: made.append(CpuSimulator(*of)) or made[0])
-    assert name == f"{body.name}-{kind.name}"
-    assert (type(task), type(task.body), task.num_episodes, [task.sim]) == (kind, body, 2, made)
-    assert task.options == kind.Options()
-    assert (task.options.integrator, task.options.reset_noise, task.options.evaluation) == ("euler", 0.1, False)
-    assert SPECS_OF[name] == kind.specs  # what Gymnasium is told of without importing it
-
-
 @pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
-@pytest.mark.parametrize(
-    ("wrong", "words"), [("pointgather", "Did you mean 'point-gather'?"), ("zzz", "Known: ant-fall, ")]
-)
-def test_an_unknown_environment_is_told_the_nearest_name(call, wrong, words):
-    with pytest.raises(UnknownNameError, match=re.escape(f"unknown environment '{wrong}'. {words}")) as caught:
-        call(wrong)
+def test_an_unknown_environment_is_told_the_nearest_name(call):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
+    ) as caught:
+        call("pointgather")
     assert all(name in str(caught.value) for name in ENVIRONMENTS)
     assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)
 
@@ -73,6 +60,9 @@ def test_an_id_makes_the_environment_of_its_name(variant):
 
 def test_every_environment_has_its_id_in_both_specifications(monkeypatch):
     assert {each.id for each in VARIANTS} == {f"shes/{name}{spec}-v0" for name in SIZES for spec in ("", "Hiro")}
+    for name, environment in ENVIRONMENTS.items():
+        assert name == f"{environment.body.name}-{environment.task.name}"
+        assert SPECS_OF[name] == environment.task.specs  # what Gymnasium is told of without importing it
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     monkeypatch.setattr("shes.envs.gymnasium_ids.SPECS_OF", {})
@@ -93,11 +83,6 @@ def test_an_environment_may_be_registered_again():
     assert find_environment("point-corner").task is again
 
 
-class Sized(Point):
-    def __init__(self, size):
-        self.size = size
-
-
 class Lonely(Corner):
     def __init__(self, body):
         super().__init__(body, 1, TaskOptions())
@@ -114,8 +99,6 @@ class Heavy(Settings):
 
 
 Swept, Rock = type("Swept", (Corner,), {"Options": Sweeping}), type("Rock", (Point,), {"Options": Heavy})
-Nameless = type("Nameless", (Task,), dict.fromkeys(Task.__abstractmethods__))
-NAME = r"environment name must be lower-case words .*joined by - or _, got {!r}\. For example"
 TAKEN = r"'ant-gather' is shes\.envs\.bodies\.ant\.Ant with shes\.envs\.tasks\.gather\.Gather already\. Choose"
 CLASS = r"a {} must be a subclass of shes\.\S*\.{}, got {}"
 
@@ -123,18 +106,15 @@ CLASS = r"a {} must be a subclass of shes\.\S*\.{}, got {}"
 @pytest.mark.parametrize(
     ("name", "body", "task", "message"),
     [
-        *((name, Point, Corner, NAME.format(name)) for name in ("", "Point-Corner", "point--corner", "2d", None)),
+        ("Point-Corner", Point, Corner, r"environment name must be lower-case words .*, got 'Point-Corner'\."),
         *(("ant-gather", *classes, TAKEN) for classes in ((Ant, Corner), (Point, Gather))),
         ("new", Point, Swept, r"option 'sweep' of .*has a name that is taken"),
         ("new", Rock, Corner, r"option 'mass' of .*Heavy has no default"),
         ("new", Corner, Corner, CLASS.format("body", "Body", r"<class '.*Corner'>\. Write class Y")),
         ("new", Point, Point, CLASS.format("task", "Task", r"<class '.*Point'>\. Write class Your")),
-        ("new", Point(), Corner, r"a body must be .*got <shes\.\S*\.Point object.*give the class, not an object of it"),
         ("new", Body, Corner, r"body shes\.\S*\.Body lacks add_to, .*name, .*says what each of them is: add them"),
-        ("new", Point, Task, r"task shes\.\S*\.Task lacks .*build_world, .*observe, .*name, description\. "),
-        ("new", Sized, Corner, r"body .*Sized cannot be constructed with no arguments: .*'size'\. Change its __init__"),
+        ("new", Point, Task, r"task shes\.\S*\.Task lacks .*observation_spec, .*observe, .*name, description\. "),
         ("new", Point, Lonely, r"task .*Lonely cannot be constructed with 4 arguments: too many .*Change its __init__"),
-        ("new", Point, Nameless, r"Nameless lacks name, description\. shes\.\S*\.Task says what"),
     ],
 )
 def test_a_wrong_registration_is_refused(name, body, task, message):

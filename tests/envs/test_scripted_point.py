@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from shes.envs.named_environments import find_environment, make_task
-from shes.envs.worlds import INTEGRATORS
 
 NEVER = 10_000
 PUSH_OVER = [(8, 0), (8, 13, 60)]
@@ -75,11 +74,3 @@ def test_a_wrong_script_ends_elsewhere(name, script, steps, low, high):
     task, solved_at = follow(name, script, steps)
     assert not solved_at.any()
     assert ((task.sim.qpos > low) & (task.sim.qpos < high)).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("name", SOLUTIONS)
-def test_scripts_solve_tasks_with_every_integrator(name, integrator):
-    script, _, steps = SOLUTIONS[name]
-    assert follow(name, script, steps, integrator=integrator)[0].success.all()

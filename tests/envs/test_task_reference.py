@@ -6,24 +6,20 @@ except for Flagrun's three features of the goal.
 
 from itertools import count
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from shes.envs.bodies.point import DAMPING, GEAR_N
+from shes.envs.bodies.ant import Ant
 from shes.envs.named_environments import find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts import variants
-from tests.envs import reference_tasks
-from tests.envs.compare_models import model_differences
+from tests.envs.reference_tasks import REFERENCES, yaw
+from tests.envs.reference_worlds import world, world_xml
 
-REFERENCES = {
-    name: getattr(reference_tasks, f"Reference{name.title()}") for name in ("maze", "push", "fall", "flagrun", "gather")
-}
 VARIANTS = [pytest.param(*each, id="-".join(each)) for each in variants.VARIANTS]
-FALL_LIMIT_SOLIMP = "0.995 0.995 0.01"
-"""Our deviation: the falling block's limit along y is as stiff as the contacts."""
 
 
 def over(*endings):
@@ -32,13 +28,7 @@ def over(*endings):
     return pytest.mark.parametrize(("name", "spec"), chosen)
 
 
-def draw_independent(rng, num_episodes, size):
-    """Yield actions in [-1, 1] that are drawn for every step."""
-    while True:
-        yield rng.uniform(-1, 1, (num_episodes, size))
-
-
-def draw_lasting(rng, num_episodes, size):
+def draw_actions(rng, num_episodes, size):
     """Yield actions of -1, 0 or 1 that each episode keeps for about ten steps, so that it travels."""
     actions = rng.integers(-1, 2, (num_episodes, size)).astype(float)
     while True:
@@ -47,39 +37,18 @@ def draw_lasting(rng, num_episodes, size):
         actions = np.where(changes[:, None], rng.integers(-1, 2, actions.shape), actions)
 
 
-def make_reference(task, target=None, **options):
-    """Return the reference of `task`'s body, kind and specification, with its model; `target` is not its own."""
-    reference = REFERENCES[task.name](task.body.name, task.options.spec, task.sim.model, **options)
-    if target is not None:
-        reference.fixed_target, reference.target, reference.evaluation = target, np.array(target), True
-    return reference
-
-
-def observe_otherwise(reference):
-    """Return the observation of Push and Fall with the block if their specification hides it, else without it."""
-    nq, nv = reference.num_robot
-    qpos, qvel = reference.data.qpos, reference.data.qvel
-    if reference.spec == "shes":
-        qpos, qvel = qpos[:nq], np.clip(qvel[:nv], -10, 10)
-    return np.array([*qpos, *qvel, reference.steps * 0.001, *reference.target])
-
-
-def assert_same(task, ids, references, observe, step):
+def assert_same(task, ids, references, step):
     """Compare every array of episodes `ids`."""
-    seen = task.observe()[ids]
-    expected = np.array([(observe or type(references[i]).observation)(references[i]) for i in ids])
+    seen, expected = task.observe()[ids], np.array([references[i].observation() for i in ids])
     tolerated = 3 if task.name == "flagrun" else 0  # sine and cosine; the distance is times 0.001 there, / 1000 here
     assert_allclose(seen[:, :tolerated], expected[:, :tolerated], rtol=0, atol=1e-12, err_msg=f"step {step}")
     assert_array_equal(seen[:, tolerated:], expected[:, tolerated:], err_msg=f"observation at step {step}")
     for shown in ("reward", "running_return", "score", "success", "distance", "diverged"):
         wanted = [getattr(references[i], shown) for i in ids]
         assert_array_equal(getattr(task, shown)[ids], wanted, err_msg=f"{shown} at step {step}")
-    if task.options.spec == "hiro" and hasattr(references[0], "low_level_observation") and observe is None:
-        low = [references[i].low_level_observation() for i in ids]
-        assert_array_equal(seen[:, task.primitive_view], low, err_msg=f"low level at step {step}")
 
 
-def compare(task, references, steps, draw, *, arrange=None, observe=None, seed=12):
+def compare(task, references, steps, arrange, seed=12):
     """Play `steps` in both and compare every array after each; return how often an episode terminated.
 
     An episode that has terminated, or has lasted long enough, rests for some steps while the others continue, and is
@@ -92,17 +61,16 @@ def compare(task, references, steps, draw, *, arrange=None, observe=None, seed=1
         task.reset(which, drawn)
         for i, drawn_seed in zip(which, drawn, strict=True):
             references[i].reset(drawn_seed)
-        assert_same(task, which, references, observe, "reset")
+        assert_same(task, which, references, "reset")
 
     reset(np.arange(n))
-    if arrange is not None:
-        arrange(task, rng)
-        for i, reference in enumerate(references):
-            reference.data.qpos[:], reference.data.qvel[:] = task.sim.qpos[i], task.sim.qvel[i]
-            if task.name == "gather":
-                reference.food, reference.poison = (list(map(tuple, each)) for each in task.objects[i].tolist())
+    arrange(task, rng)
+    for i, reference in enumerate(references):
+        reference.data.qpos[:], reference.data.qvel[:] = task.sim.qpos[i], task.sim.qvel[i]
+        if task.name == "gather":
+            reference.food, reference.poison = (list(map(tuple, each)) for each in task.objects[i].tolist())
     limits, is_resting = rng.integers(steps // 2, 2 * steps, n), np.zeros(n, dtype=bool)
-    for step, action in zip(range(steps), draw(rng, n, task.action_size), strict=False):
+    for step, action in zip(range(steps), draw_actions(rng, n, task.action_size), strict=False):
         begins = is_resting & (rng.random(n) < 0.3)
         if begins.any():
             reset(np.flatnonzero(begins))
@@ -113,18 +81,11 @@ def compare(task, references, steps, draw, *, arrange=None, observe=None, seed=1
         ends = np.array([references[i].step(controls[i]) for i in moving], dtype=bool)
         assert_array_equal((task.terminated | task.diverged)[moving], ends, err_msg=f"end at step {step}")
         if len(moving):
-            assert_same(task, moving, references, observe, step)
+            assert_same(task, moving, references, step)
         num_ends += ends.sum()
         is_resting[moving] = ends | (task.time[moving] >= limits[moving])
     assert not task.diverged.any()
     return num_ends
-
-
-def play(name, num_episodes, steps, draw=draw_lasting, *, arrange=None, observe=None, reference=(), **options):
-    """Compare environment `name` with these options; `reference` are those of its reference."""
-    task = make_task(name, num_episodes, find_environment(name).task.Options(**options))
-    references = [make_reference(task, **dict(reference)) for _ in range(num_episodes)]
-    return compare(task, references, steps, draw, arrange=arrange, observe=observe)
 
 
 def launch(task, rng):
@@ -146,44 +107,38 @@ def launch_among_objects(task, rng):
     task.objects[:] = along * unit[:, None, None, :] + rng.normal(0, 0.5, task.objects.shape)
 
 
+def play(name, num_episodes, steps, spec, reference=None, arrange=launch, **options):
+    """Compare environment `name` with these options; `reference` are those of its reference. Return task and ends."""
+    task = make_task(name, num_episodes, find_environment(name).task.Options(spec=spec, **options))
+    make = REFERENCES[task.name]
+    references = [make(task.body.name, spec, task.sim.model, **reference or {}) for _ in range(num_episodes)]
+    return task, compare(task, references, steps, arrange)
+
+
 # Episodes.
 
 
 @over()
 def test_a_task_equals_its_reference(name, spec):
-    play(name, 5, 30, spec=spec)
-
-
-@over()
-def test_a_task_equals_its_reference_at_walls_and_blocks(name, spec):
-    ends = play(name, 6, 25, draw_independent, arrange=launch, spec=spec)
+    task, ends = play(name, 6, 30, spec)
     if name in ("ant-flagrun", "ant-gather"):
         assert ends > 0  # an ant that is thrown falls
+    hidden = len(task.own_target) if spec == "hiro" and hasattr(task, "own_target") else 0  # the controller's alone
+    assert_array_equal(task.primitive_view, np.arange(task.observation_size - hidden))
 
 
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
 def test_gather_equals_its_reference_among_objects(spec):
-    task = make_task("ant-gather", 20, TaskOptions(spec=spec))
-    references = [make_reference(task) for _ in range(20)]
-    assert 3 < compare(task, references, 40, draw_lasting, arrange=launch_among_objects) < 60
-    assert task.counts["food"].sum() > 10
-    assert task.counts["poison"].sum() > 10
+    task, ends = play("ant-gather", 10, 20, spec, arrange=launch_among_objects)
+    assert 3 < ends < 30
+    assert min(task.counts["food"].sum(), task.counts["poison"].sum()) > 5
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("draw", [draw_independent, draw_lasting], ids=["independent", "lasting"])
 @over()
-def test_a_task_equals_its_reference_over_long_episodes(name, spec, draw):
-    play(name, 12, 500, draw, arrange=launch, spec=spec)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-@over()
-def test_a_task_equals_its_reference_with_every_integrator(name, spec, integrator):
-    play(name, 8, 100, arrange=launch, spec=spec, integrator=integrator)
+def test_a_task_equals_its_reference_over_long_episodes(name, spec):
+    play(name, 12, 500, spec)
 
 
 @over("-maze", "-push", "-fall", "-flagrun")
@@ -203,51 +158,102 @@ def test_success_begins_just_below_its_radius(name, spec):
 # Options.
 
 
-@over()
-def test_with_other_reset_noise_a_task_equals_its_reference(name, spec):
-    for noise in (0.0, 0.5):
-        play(name, 2, 4, spec=spec, reset_noise=noise, reference={"reset_noise": noise})
-
-
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
 @pytest.mark.parametrize(
-    ("name", "target"), [("point-maze", (8.0, 3.5)), ("point-push", (-7.5, 1.0)), ("point-fall", (1.0, 9.0, 6.0))]
+    ("name", "options", "reference"),
+    [
+        *(
+            (name, {"reset_noise": noise}, {"reset_noise": noise})
+            for name in ("ant-gather", "point-fall", "point-maze")
+            for noise in (0.0, 0.5)
+        ),
+        *(
+            (name, options, {"target": target, "is_fixed": True})
+            for name, own, target in (
+                ("point-maze", (0.0, 16.0), (8.0, 3.5)),
+                ("point-push", (0.0, 19.0), (-7.5, 1.0)),
+                ("point-fall", (0.0, 27.0, 4.5), (1.0, 9.0, 6.0)),
+            )
+            for options, target in (
+                ({"evaluation": True}, own),
+                ({"target": target}, target),
+                ({"evaluation": True, "evaluation_target": target}, target),
+            )
+        ),
+        ("point-maze", {"target_sampling": "free_cells"}, {"free_cells": True}),
+        *(
+            (name, {"observe_block": sees}, {"sees_block": sees})
+            for name in ("ant-push", "ant-fall", "point-push", "point-fall")
+            for sees in (False, True)
+        ),
+        *(("point-flagrun", {"controller_interval": interval}, {"interval": interval}) for interval in (1, 3)),
+    ],
 )
-def test_fixed_targets_equal_the_references(name, target, spec):
-    play(name, 4, 10, spec=spec, evaluation=True, reference={"evaluation": True})
-    for options in ({"target": target}, {"evaluation": True, "evaluation_target": target}):
-        play(name, 4, 20, spec=spec, **options, reference={"target": target})
+def test_with_options_a_task_equals_its_reference(name, options, reference, spec):
+    num_episodes, steps = (40, 2) if "free_cells" in reference else (3, 12)
+    play(name, num_episodes, steps, spec, reference, **options)
 
 
-@pytest.mark.parametrize("spec", ["shes", "hiro"])
-def test_targets_in_free_cells_equal_the_references(spec):
-    play("point-maze", 40, 2, spec=spec, target_sampling="free_cells", reference={"free_cells": True})
+# Robots and worlds.
 
 
-@over("-push", "-fall")
-def test_the_block_can_be_observed_or_not(name, spec):
-    play(name, 3, 15, arrange=launch, spec=spec, observe_block=spec == "hiro", observe=observe_otherwise)
-    play(name, 3, 10, spec=spec, observe_block=spec == "shes")  # as specified
+def test_yaw_equals_the_reference_for_any_rotation():
+    qpos = np.random.default_rng(0).normal(size=(200, 15))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    assert_allclose(Ant().heading(qpos), [yaw(each[3:7]) for each in qpos], atol=1e-9)
 
 
-@over("-flagrun")
-@pytest.mark.parametrize("interval", [1, 3, 10])
-def test_flagrun_equals_its_reference_with_any_interval(name, spec, interval):
-    play(name, 4, 24, spec=spec, controller_interval=interval, reference={"interval": interval})
+def test_the_ant_has_fallen_outside_20_cm_to_1_m():
+    heights = [-1, 0.19, np.nextafter(0.2, 0), 0.2, 0.75, 1.0, np.nextafter(1.0, 2), 1.1, np.nan]
+    qpos = np.zeros((len(heights), 15))
+    qpos[:, 2] = heights
+    assert_array_equal(Ant().fallen(qpos), [True, True, True, False, False, False, True, True, True])
 
 
-# Worlds.
+def model_differences(model, other):
+    """Return what differs in all fields that the physics reads. Geoms are matched by body, type and position."""
+
+    def physics(model):
+        keys = np.column_stack([model.geom_bodyid, model.geom_type, model.geom_pos, model.geom_size]).round(9) + 0.0
+        order = sorted(range(model.ngeom), key=lambda geom: tuple(keys[geom]))
+        sizes = ("nq", "nv", "nu", "nbody", "njnt", "ngeom", "npair", "nexclude", "neq", "ntendon")
+        found = {name: getattr(model, name) for name in sizes}
+        found |= {f"opt.{name}": getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")}
+        for name in dir(model):
+            if name.startswith(("body_", "jnt_", "dof_", "geom_", "actuator_", "qpos")):
+                values = getattr(model, name)
+                found[name] = values[order] if name.startswith("geom_") else values
+        return {name: value for name, value in found.items() if isinstance(value, int | float | np.ndarray)}
+
+    ours, theirs = physics(model), physics(other)
+    without_meaning = {"geom_rgba", "body_bvhadr", "body_bvhnum"}  # colours; bounding volumes follow from the geoms
+    return [name for name in ours.keys() - without_meaning if not np.array_equal(ours[name], theirs[name])]
 
 
 @over()
 def test_a_world_equals_the_references(name, spec):
     body, task = name.split("-")
-    more = {} if (task, spec) == ("gather", "hiro") else {"merged": True}
-    more |= {"limit_solimp": FALL_LIMIT_SOLIMP} if task == "fall" else {}
-    cannot_act = {"opt.gravity"} if body == "point" else ()  # its slides, and those of Push's block, are horizontal
-    for integrator in INTEGRATORS:
-        model = make_task(name, 1, TaskOptions(spec=spec, integrator=integrator)).sim.model
-        reference = REFERENCES[task](body, spec, integrator=integrator, gear=GEAR_N, damping=DAMPING, **more)
-        assert model_differences(model, reference.model, but=cannot_act) == []
-    own = make_task(name, 1, TaskOptions(spec=spec)).sim.model.opt.integrator
-    assert own == INTEGRATORS["euler" if spec == "shes" else "rk4"]
+    assert model_differences(make_task(name, 1, TaskOptions(spec=spec)).sim.model, world(task, body, spec)) == []
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_an_option_sets_the_integrator(integrator):
+    options = make_task("point-gather", 1, TaskOptions(integrator=integrator)).sim.model.opt
+    assert options.integrator == getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ('axis="-1 1 0" range="30 70"', 'axis="1 1 0" range="30 70"', "jnt_axis"),
+        ('armature="1"', 'armature="0.9"', "dof_armature"),
+        ('friction="1 0.5 0.5"', 'friction="1 0.5 0.1"', "geom_friction"),
+        ('joint="hip_1"', 'joint="hip_2"', "actuator_trnid"),
+        ('timestep="0.02"', 'timestep="0.01"', "opt.timestep"),
+    ],
+)
+def test_the_comparison_of_models_sees_a_difference(old, new, field):
+    text = world_xml("gather", "ant")
+    assert old in text
+    changed = mujoco.MjModel.from_xml_string(text.replace(old, new))
+    assert field in model_differences(world("gather", "ant"), changed)

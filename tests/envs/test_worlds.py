@@ -1,10 +1,9 @@
 """Worlds: the boxes of a grid cover each of its wall cells once, and no other cell."""
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.envs.worlds import ARENA, merged_boxes
+from shes.envs.worlds import merged_boxes
 
 
 @given(st.data())
@@ -21,16 +20,3 @@ def test_boxes_cover_exactly_the_wall_cells_of_any_grid(data):
         for dx, dy in ((dx, dy) for dx in (-3.9, 0, 3.9) for dy in (-3.9, 0, 3.9)):
             inside = sum(abs(x + dx - bx) < hx and abs(y + dy - by) < hy for bx, by, hx, hy in boxes)
             assert inside == (cell == "#"), (cell, x + dx, y + dy)
-
-
-@pytest.mark.parametrize(
-    ("grid", "boxes"),
-    [
-        (ARENA, [(-16, 0, 4, 12), (0, -16, 20, 4), (0, 16, 20, 4), (16, 0, 4, 12)]),
-        (("r.#",), [(16, 0, 4, 4)]),  # columns are x
-        (("r", ".", "#"), [(0, 16, 4, 4)]),  # rows are y
-        (("#", "r"), [(0, -8, 4, 4)]),  # the first row is the lowest
-    ],
-)
-def test_walls_are_merged_into_few_boxes_around_the_robot(grid, boxes):
-    assert sorted(merged_boxes(grid, "#")) == boxes

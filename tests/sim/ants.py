@@ -2,7 +2,7 @@
 
 import mujoco
 
-from tests.envs.reference_worlds import ant_gather_xml
+from tests.envs.reference_worlds import world
 
 INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -12,6 +12,6 @@ INTEGRATORS = {
 
 
 def ant_model(integrator="euler"):
-    model = mujoco.MjModel.from_xml_string(ant_gather_xml())
+    model = world("gather", "ant")
     model.opt.integrator = INTEGRATORS[integrator]
     return model

@@ -16,7 +16,7 @@ import shes
 from shes.errors import ConfigError, ShesError, UnknownNameError
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "envs": ("envs.catalogue.list_environments", "list the environments"),
+    "envs": ("envs.named_environments.list_environments", "list the environments"),
     "list": ("runs.listings.list_runs", "list the runs below runs/, and the shipped agents"),
     "info": ("runs.listings.describe_run", "show the settings and the state of a run"),
     "train": ("cli.commands.train", "train on an environment"),

@@ -16,7 +16,6 @@ import numpy as np
 
 from shes.envs.bodies.body import Body
 from shes.envs.markers import Marker
-from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
 
@@ -181,19 +180,14 @@ class EpisodeBatch(ABC):
 
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the physics states of episodes `ids` [ids, S], as a NumPy array."""
-        raise ConfigError(
-            "episodes of an environment that Gymnasium makes cannot be branched: its physics state is its own. "
-            "Set --primitive-estimate episode."
-        )
+        raise NotImplementedError
 
     def places(self, states: F64Array) -> Places:
-        """Return where robots in physics states [N, S] are."""
-        raise ConfigError("there is no way to search for in this environment. Set --explore none.")
+        """Return where robots in physics states [N, S] are, if the task `has_places`."""
+        raise NotImplementedError
 
-    def set_way(self, way: F64Array | None) -> None:
+    def set_way(self, way: F64Array | None) -> None:  # noqa: B027 - most environments have no way to a target
         """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None is as by the options."""
-        if way is not None:
-            raise ConfigError("there is no way to a target in this environment. Set --explore none.")
 
     @abstractmethod
     def step(self, ids: IntArray, action: FloatArray) -> None:
@@ -203,12 +197,12 @@ class EpisodeBatch(ABC):
         """
 
     def world_to_draw(self) -> mujoco.MjSpec:
-        """Return a new world to draw poses in."""
-        raise ConfigError("this environment draws itself: it has no world to draw.")
+        """Return a new world to draw poses in, unless the environment `draws_itself`."""
+        raise NotImplementedError
 
     def draw_by(self, mode: str) -> None:
-        """Make an environment that draws itself use render mode `mode` from the next reset on."""
-        raise ConfigError(f"this environment has no render mode {mode!r}: it does not draw itself.")
+        """Make an environment that `draws_itself` use render mode `mode` from the next reset on."""
+        raise NotImplementedError
 
     @abstractmethod
     def pose(self, episode: int) -> Any:

@@ -55,9 +55,7 @@ class ExternalReader(Reader):
         try:
             return np.asarray(flatten(self._space, observation), np.float64).reshape(self.observation_size)
         except Exception as error:
-            parts = observation.items() if isinstance(observation, Mapping) else [("", observation)]
-            got = ", ".join(f"{key}{': ' * bool(key)}{_described(part)}" for key, part in parts)
-            raise ShapeError(f"its observation must be one of {self._space}, got {got}.") from error
+            raise ShapeError(f"its observation must be one of {self._space}, got {observation!r}.") from error
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
         """Return the observation of `num_envs` environments as rows [num_envs, O]; see `Reader.rows`."""
@@ -109,11 +107,6 @@ class ExternalReader(Reader):
 def _bounds(space: Any) -> F64Array:
     """Return the lower and upper bounds of `space`, flat [2, A]."""
     return np.array([space.low.ravel(), space.high.ravel()], np.float64)
-
-
-def _described(part: Any) -> str:
-    """Return the shape of an array in words, or the `repr` of something else."""
-    return f"shape {part.shape}" if isinstance(part, np.ndarray) else repr(part)
 
 
 def _is_batch(space: Any, observation: Any) -> bool:

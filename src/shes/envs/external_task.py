@@ -83,8 +83,6 @@ class ExternalTask(EpisodeBatch):
 
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
-        if any(state is not None for state in states):
-            self.states(ids)  # raises
         for values in (self.time, self.running_return, self._score):
             values[ids] = 0
         for flags in (self._terminated, self.truncated, self._fallen, self.diverged):

@@ -23,6 +23,7 @@ from shes.sim.simulator import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 _PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}
+_INFO = ("success", "score", "distance", "position", "heading", "diverged")
 
 
 class TaskAdapter:
@@ -50,7 +51,6 @@ class TaskAdapter:
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
         self._drawer: Drawer | None = None
         self._window: Window | None = None
-        self._is_new_episode = True
 
     @staticmethod
     def draw_seed(rng: np.random.Generator) -> int:
@@ -65,8 +65,7 @@ class TaskAdapter:
     def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
         """Start new episodes in rows `ids`."""
         self.task.reset(ids, seeds)
-        self._is_new_episode = True
-        self._show()
+        self._show(is_new_episode=True)
 
     def step(self, ids: IntArray, actions: ArrayLike) -> None:
         """Advance episodes `ids` by one control step with `actions` [N, A], clipped to [-1, 1].
@@ -85,24 +84,12 @@ class TaskAdapter:
         if not np.isfinite(asked[ids]).all():
             raise PolicyError("the action contains NaN or infinity; actions lie in [-1, 1]. Check the policy's output.")
         task.step(ids, np.clip(asked, -1.0, 1.0) * task.control_limit)
-        self._show()
-
-    def observation(self) -> F64Array:
-        """Return a copy of the observations [N, O]."""
-        return self.task.observe().copy()
+        self._show(is_new_episode=False)
 
     def info(self) -> dict[str, Any]:
         """Return the entries of `info`, as arrays [N] or [N, 2]."""
-        task = self.task
-        return {
-            "success": task.success.copy(),
-            "score": task.score.astype(np.float64),
-            "distance": task.distance.copy(),
-            "position": task.position.copy(),
-            "heading": task.heading.copy(),
-            "diverged": task.diverged.copy(),
-            **{name: np.array(count) for name, count in task.counts.items()},
-        }
+        values = {name: getattr(self.task, name) for name in _INFO} | self.task.counts
+        return {name: np.array(value) for name, value in values.items()}
 
     def render(self, episode: int) -> Picture | None:
         """Return a picture [H, W, 3] of episode `episode` in mode `rgb_array`; None in mode `human`."""
@@ -114,14 +101,13 @@ class TaskAdapter:
             self._drawer = make_drawer(self.task, self._picture["width"], self._picture["height"])
         return self._drawer.draw(self.task.pose(episode), self.task.markers(episode), self._picture["camera"])
 
-    def _show(self) -> None:
+    def _show(self, *, is_new_episode: bool) -> None:
         """Show the first episode in the window, in mode `human`."""
         if self._render_mode != "human":
             return
         if self._window is None:
             self._window = open_window(self.task)
-        self._window.show(self.task.pose(0), self.task.markers(0), is_new_episode=self._is_new_episode)
-        self._is_new_episode = False
+        self._window.show(self.task.pose(0), self.task.markers(0), is_new_episode=is_new_episode)
 
     def close(self) -> None:
         """Close the window and free the renderer."""
@@ -190,14 +176,13 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
         super().reset(seed=seed)
         episode_seed = self._adapter.draw_seed(self.np_random) if seed is None else seed
         self._adapter.reset(np.array([0]), [episode_seed])
-        return self._adapter.observation()[0], self._info()
+        return self.task.observe()[0].copy(), self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[F64Array, SupportsFloat, bool, bool, dict[str, Any]]:
         """Advance by 0.1 s. A divergence terminates the episode; Gymnasium's wrapper applies the time limit."""
-        adapter = self._adapter
-        adapter.step(np.array([0]), [action])
-        reward = float(adapter.task.reward[0])
-        return adapter.observation()[0], reward, bool(adapter.ended[0]), False, self._info()
+        self._adapter.step(np.array([0]), [action])
+        reward = float(self.task.reward[0])
+        return self.task.observe()[0].copy(), reward, bool(self._adapter.ended[0]), False, self._info()
 
     def _info(self) -> dict[str, Any]:
         found = {name: values[0] for name, values in self._adapter.info().items()}

@@ -89,7 +89,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         self._start(ids, self._seeds(seed))
         self._has_ended[ids] = False
         self._is_ready[ids] = True
-        return self._adapter.observation(), self._info(ids)
+        return self.task.observe().copy(), self._info(ids)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Return the seed of each environment [N]; None continues with the previous seeds."""
@@ -135,20 +135,20 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         self._adapter.step(np.flatnonzero(~self._has_ended), actions)
         if self._has_ended.any():  # in mode NextStep
             self._start(np.flatnonzero(self._has_ended), [None] * self.num_envs)
-        reward = self._adapter.task.reward.copy()
+        reward = self.task.reward.copy()
         terminated = self._adapter.ended
-        truncated: BoolArray = self._adapter.task.time >= self._max_steps
+        truncated: BoolArray = self.task.time >= self._max_steps
         self._has_ended = terminated | truncated
         final: dict[str, Any] = {}
         if mode == AutoresetMode.SAME_STEP and self._has_ended.any():
             final = self._restart()
         info = self._info(np.arange(self.num_envs)) | final
-        return self._adapter.observation(), reward, terminated, truncated, info
+        return self.task.observe().copy(), reward, terminated, truncated, info
 
     def _restart(self) -> dict[str, Any]:
         """Reset the episodes that have ended; return their final observations and infos."""
         ids = np.flatnonzero(self._has_ended)
-        observation = self._adapter.observation()
+        observation = self.task.observe().copy()
         final_obs = np.full(self.num_envs, None, dtype=object)  # None where an episode has not ended, as in Gymnasium
         for i in ids:
             final_obs[i] = observation[i]

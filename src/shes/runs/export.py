@@ -19,7 +19,7 @@ import numpy as np
 from shes.agents.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.agents.mlp import MLP
 from shes.envs.bodies.body import Body, yaw
-from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
+from shes.envs.bodies.symmetry import SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
@@ -93,8 +93,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
     if isinstance(design, GoalDesign):
         # Without a symmetry there is the robot's own frame alone, so that a reader needs no case of its own.
         sizes = design.primitive_view.size(task.observation_size), task.action_size
-        view, control = (SignedPermutation(np.arange(size), np.ones(size)) for size in sizes)
-        own = view, control
+        own = np.eye(sizes[0]), np.eye(sizes[1])
         found["controller_interval"] = design.controller_interval
         found["pose"] = None if task.robot is None else _pose(task.robot, task.proprioception.tolist())
         found["primitive"] = {

@@ -10,9 +10,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, yaw
-from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
-from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.bodies.body import Body, ObservationElement, elements, yaw
+from shes.envs.bodies.symmetry import SymmetryGroup, dihedral_group, signed_permutation
 from shes.types import BoolArray, F64Array
 
 TORSO_HEIGHT_M = 0.75
@@ -140,39 +139,36 @@ class Ant(Body):
     def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup:
         """Return the four quarter turns, with `is_mirrored` the eight elements of the symmetry of the square."""
         # In the frame after a quarter turn to the left: x' = y, y' = -x, and the next leg becomes leg 1.
-        turn = _view_element([2, 1], [1, -1], [1, -1], _NEXT_LEG, hip_sign=1)
+        turn = _element([2, 1], [1, -1], [1, -1], _NEXT_LEG, hip_sign=1)
         # Reflection reverses rotations about axes in the mirror plane, but not about the axis normal to it.
-        mirror = _view_element([1, 2], [1, -1], [-1, 1], _MIRRORED_LEG, hip_sign=-1)
-        controls = [_leg_element(_ACTUATOR_ORDER, legs, sign) for legs, sign in ((_NEXT_LEG, 1), (_MIRRORED_LEG, -1))]
-        return dihedral_group(4, (turn, controls[0]), (mirror, controls[1]), is_mirrored=is_mirrored)
+        mirror = _element([1, 2], [1, -1], [-1, 1], _MIRRORED_LEG, hip_sign=-1)
+        return dihedral_group(4, turn, mirror, is_mirrored=is_mirrored)
 
 
-def _view_element(
+def _element(
     source: list[int], sign: list[int], spin_sign: list[int], legs: dict[int, int], hip_sign: int
-) -> SignedPermutation:
-    """Return the action of a group element on the egocentric view, from its actions on the parts.
+) -> tuple[F64Array, F64Array]:
+    """Return the action of a group element on the egocentric view and on the controls.
 
     `source` is the component, 1 or 2, that the x and y of a vector come from, and `sign` and `spin_sign` are the signs
     of a vector and of an angular velocity.
     """
-    joints = _leg_element(tuple(_LEGS), legs, hip_sign)
+    joints, joint_signs = _joints(tuple(_LEGS), legs, hip_sign)
     index = [0, *source, *(2 + i for i in source), 5, *(5 + i for i in source), 8]
+    index += [first + i for first in (9, 17) for i in joints]
     # Reflection reverses the rotation about the vertical, as it does those of the hips.
-    sign = [1, *sign, *sign, 1, *spin_sign, hip_sign]
-    return SignedPermutation(
-        np.array([*index, *(9 + joints.source), *(17 + joints.source)]), np.array([*sign, *joints.sign, *joints.sign])
-    )
+    signs = [1, *sign, *sign, 1, *spin_sign, hip_sign, *joint_signs * 2]
+    return signed_permutation(index, signs), signed_permutation(*_joints(_ACTUATOR_ORDER, legs, hip_sign))
 
 
-def _leg_element(order: tuple[int, ...], legs: dict[int, int], hip_sign: int) -> SignedPermutation:
-    """Return the action of a group element on one value for each hip and ankle; the legs are in `order`."""
-    index, sign = list[int](), list[float]()
+def _joints(order: tuple[int, ...], legs: dict[int, int], hip_sign: int) -> tuple[list[int], list[int]]:
+    """Return source and sign of one value for each hip and ankle; the legs are in `order`."""
+    index, sign = list[int](), list[int]()
     for leg in order:
-        source = legs[leg]
-        first = 2 * order.index(source)
+        first = 2 * order.index(legs[leg])
         index += [first, first + 1]
-        sign += [hip_sign, _FLEXION[leg] * _FLEXION[source]]
-    return SignedPermutation(np.array(index), np.array(sign, dtype=np.float64))
+        sign += [hip_sign, _FLEXION[leg] * _FLEXION[legs[leg]]]
+    return index, sign
 
 
 def _turn_back(x: F64Array, y: F64Array, cosine: F64Array, sine: F64Array, out: F64Array) -> None:

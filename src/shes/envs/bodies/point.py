@@ -10,8 +10,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
-from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.types import BoolArray, F64Array
 
 RADIUS_M = 0.25

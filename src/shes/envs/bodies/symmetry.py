@@ -7,6 +7,7 @@ Source: Mittal et al. 2024 (symmetry in learned locomotion), sections II and III
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,23 +18,9 @@ SYMMETRIES = ("none", "rotation", "dihedral")
 """Groups to choose from: `rotation` has the rotations, `dihedral` also the reflections."""
 
 
-@dataclass(frozen=True, eq=False)
-class SignedPermutation:
-    """`new[i] = sign[i] * old[source[i]]`."""
-
-    source: IntArray
-    """Index of the value that each value comes from [V]."""
-    sign: F64Array
-    """+1 or -1 [V]."""
-
-    def after(self, first: SignedPermutation) -> SignedPermutation:
-        """Return the composition: `first`, then this permutation."""
-        return SignedPermutation(first.source[self.source], self.sign * first.sign[self.source])
-
-    def inverse(self) -> SignedPermutation:
-        """Return the inverse permutation."""
-        source = np.argsort(self.source)
-        return SignedPermutation(source, self.sign[source])
+def signed_permutation(source: Sequence[int], sign: Sequence[float]) -> F64Array:
+    """Return the matrix [V, V] of `new[i] = sign[i] * old[source[i]]`."""
+    return np.eye(len(source))[list(source)] * np.array(sign)[:, None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,35 +73,27 @@ class SymmetryGroup:
 
 
 def dihedral_group(
-    num_turns: int,
-    turn: tuple[SignedPermutation, SignedPermutation],
-    mirror: tuple[SignedPermutation, SignedPermutation],
-    *,
-    is_mirrored: bool,
+    num_turns: int, turn: tuple[F64Array, F64Array], mirror: tuple[F64Array, F64Array], *, is_mirrored: bool
 ) -> SymmetryGroup:
     """Return the group that a rotation, and with `is_mirrored` a reflection, generate.
 
     Args:
         num_turns: Order of the rotation, K.
-        turn: Action of the rotation to the left by 1 / K of a turn, on the egocentric view and on the controls.
-        mirror: Action of the reflection, left to right, on the two.
+        turn: Signed permutations of the rotation to the left by 1 / K of a turn: of the egocentric view [V, V] and of
+            the controls [A, A].
+        mirror: Signed permutations of the reflection, left to right.
         is_mirrored: Whether the group contains the reflections.
     """
-
-    def elements(turn: SignedPermutation, mirror: SignedPermutation) -> list[SignedPermutation]:
-        """Return every element: the rotations, then the reflections."""
-        turned = [SignedPermutation(np.arange(len(turn.source)), np.ones(len(turn.source)))]
-        for _ in range(num_turns - 1):
-            turned.append(turn.after(turned[-1]))
-        return turned + ([mirror.after(element) for element in turned] if is_mirrored else [])
-
-    views = elements(turn[0], mirror[0])
-    inverses = [element.inverse() for element in elements(turn[1], mirror[1])]
+    views, controls = (
+        np.stack([flip @ np.linalg.matrix_power(turned, k) for flip in flips for k in range(num_turns)])
+        for turned, flips in ((turn[i], [np.eye(len(turn[i])), mirror[i]][: 1 + is_mirrored]) for i in (0, 1))
+    )
+    inverses = controls.transpose(0, 2, 1)
     return SymmetryGroup(
         num_turns=num_turns,
         is_mirrored=is_mirrored,
-        view_index=np.stack([each.source for each in views]),
-        view_sign=np.stack([each.sign for each in views]),
-        control_index=np.stack([each.source for each in inverses]),
-        control_sign=np.stack([each.sign for each in inverses]),
+        view_index=np.abs(views).argmax(axis=2),
+        view_sign=views.sum(axis=2),
+        control_index=np.abs(inverses).argmax(axis=2),
+        control_sign=inverses.sum(axis=2),
     )

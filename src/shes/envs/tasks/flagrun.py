@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.markers import TARGET, Marker, ball
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
-from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.settings import Ge, Le, Shared
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
@@ -86,14 +83,6 @@ class Flagrun(Task):
         self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
         self.reader = FlagrunReader(self.body, self.observation_size, self.proprioception)
-
-    @classmethod
-    def build_world(cls, body: Body, options: Any) -> mujoco.MjSpec:
-        """Return the arena of Gather."""
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=options.stiff_contacts)
-        add_grid(spec, ARENA)
-        body.add_to(spec)
-        return spec
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:

@@ -12,12 +12,11 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, ObservationElement
 from shes.envs.markers import FOOD, POISON, Marker, ball, line
-from shes.envs.observation_spec import ObservationElement
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
-from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
+from shes.envs.worlds import add_square_walls, empty_world
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NUM_OBJECTS = 8
@@ -91,11 +90,10 @@ class Gather(Task):
     @classmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the arena, a free square between walls; objects are not geoms."""
+        if options.spec == "shes":
+            return super().build_world(body, options)
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
-        if options.spec == "hiro":
-            add_square_walls(spec, HIRO_WALLS_M)
-        else:
-            add_grid(spec, ARENA)
+        add_square_walls(spec, HIRO_WALLS_M)
         body.add_to(spec)
         return spec
 

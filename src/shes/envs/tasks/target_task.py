@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker, ball, disc
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
-from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
-from shes.envs.worlds import CELL_SIZE_M, Grid, add_grid, empty_world
+from shes.envs.tasks.task_options import Coordinates, FallOptions
+from shes.envs.worlds import CELL_SIZE_M
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
@@ -63,8 +61,6 @@ class TargetTask(Task):
     options: Any
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     has_places: ClassVar[bool] = True
-    grid: ClassVar[Grid]
-    """The grid of the world; see `shes.envs.worlds`."""
     block_axes: ClassVar[str] = ""
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
@@ -136,14 +132,6 @@ class TargetTask(Task):
         if way is not None and len(way) % size:
             raise ConfigError(f"waypoints of {cls.name} must be {size} coordinates each, got {way}. Set --waypoints.")
 
-    @classmethod
-    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the world of `grid` with the body in it."""
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=bool(cls.block_axes))
-        body.add_to(spec, cls.ground_m)
-        add_grid(spec, cls.grid)
-        return spec
-
     @property
     def _observed_axes(self) -> str:
         """The block's axes, if its position and velocity are observed."""
@@ -184,19 +172,14 @@ class TargetTask(Task):
         return np.sqrt(total)
 
     @property
-    def fallen(self) -> BoolArray:
+    def terminated(self) -> BoolArray:
         """Whether the robot lies [N]: in training with `max_tilt` alone."""
         return self.is_down() if self.ends_early else self.xp.zeros(self.num_episodes, dtype=np.bool_)
 
     @property
-    def terminated(self) -> BoolArray:
-        """Whether the episode has ended [N]: by a fall, or never."""
-        return self.fallen
-
-    @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
-        return np.where(self.fallen & (self._num_waypoints == 0), self.reward, 0.0)
+        return np.where(self.terminated & (self._num_waypoints == 0), self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:

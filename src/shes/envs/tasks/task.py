@@ -14,11 +14,10 @@ from typing import Any, ClassVar, NamedTuple
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.episode_batch import EpisodeBatch, Reader
-from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task_options import TaskOptions
-from shes.envs.worlds import TIMESTEP_S
+from shes.envs.worlds import ARENA, TIMESTEP_S, Grid, add_grid, empty_world
 from shes.errors import ShapeError, UnknownNameError
 from shes.sim.simulator import CpuSimulator, Simulator
 from shes.streams import EpisodePurpose, episode_stream
@@ -88,6 +87,8 @@ class Task(EpisodeBatch):
     specs: ClassVar[tuple[str, ...]] = ("shes",)
     """Specifications that the task implements."""
     Options: ClassVar[Any] = TaskOptions
+    grid: ClassVar[Grid] = ARENA
+    """The grid of the world; see `shes.envs.worlds`."""
     step_s = CONTROL_STEP_S
 
     def __init__(
@@ -132,9 +133,13 @@ class Task(EpisodeBatch):
             raise UnknownNameError(f"specification of {cls.name}", options.spec, cls.specs, "Set --spec.")
 
     @classmethod
-    @abstractmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the world with `body` in it, ready to compile."""
+        """Return the world of `grid` with `body` in it, ready to compile."""
+        is_stiff = getattr(options, "stiff_contacts", "B" in "".join(cls.grid))
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=is_stiff)
+        body.add_to(spec, cls.ground_m)
+        add_grid(spec, cls.grid)
+        return spec
 
     @property
     @abstractmethod
