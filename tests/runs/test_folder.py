@@ -5,7 +5,6 @@ import fcntl
 import json
 import os
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -33,7 +32,6 @@ def test_the_record_says_what_the_run_is_and_what_made_it(run_copy, monkeypatch)
     record = json.loads((run_copy / "config.json").read_text())
     assert record["config"]["networks"]["hidden"] == [4]
     assert record["versions"]["numpy"] == np.__version__
-    assert set(record["versions"]) == {"python", "shes", "mujoco", "numpy"}
     assert record["machine"]["processor"]
     assert record["machine"]["cores"] >= 1
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", record["started"])
@@ -74,10 +72,9 @@ def test_a_lock_that_is_held_for_a_moment_is_waited_for(run_copy, monkeypatch):
             assert run_state(RunFolder.open(run_copy)).state == "running"
 
 
-@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK])
-def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkeypatch, number):
+def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkeypatch):
     def no_locks(*_):
-        raise OSError(number, os.strerror(number))
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
     assert run_state(RunFolder.open(run_copy)).state == "finished"
@@ -88,13 +85,13 @@ def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkey
 
 
 @pytest.mark.parametrize("name", ["progress.csv", "evaluation.csv", "checkpoints/last.npz"])
-def test_parts_of_a_run_without_a_record_are_not_overwritten(tiny_run, tmp_path, name):
+def test_parts_of_a_run_without_a_record_are_not_overwritten(tmp_path, name):
     part = tmp_path / "run" / name
     part.parent.mkdir(parents=True)
-    shutil.copy(tiny_run / name, part)
+    part.write_text("mine")
     with pytest.raises(RunFolderError, match=rf"holds {name} but no config\.json: .*Choose another folder with --out"):
         runs.train_tiny(tmp_path / "run")
-    assert part.read_bytes() == (tiny_run / name).read_bytes()
+    assert part.read_text() == "mine"
 
 
 def test_a_run_may_begin_beside_other_files_and_where_one_was_stopped(tmp_path):

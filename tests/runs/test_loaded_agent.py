@@ -33,11 +33,10 @@ def observations(tiny_run):
 
 def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, observations, monkeypatch, tmp_path):
     monkeypatch.setenv("SHES_CACHE_DIR", str(tmp_path / "cache"))
-    agent = load(tiny_run)
-    action = agent.act(observations[0, 0])
+    action = load(tiny_run).act(observations[0, 0])
     assert (action.shape, action.dtype) == ((2,), np.float64)
     assert (np.abs(action) <= 1).all()
-    assert agent.act(observations[:1, 0]).shape == (1, 2)
+    assert load(tiny_run).act(observations[:1, 0]).shape == (1, 2)
     assert list(tmp_path.iterdir()) == []  # it needs no noise table
 
 
@@ -51,13 +50,11 @@ def test_every_environment_is_played_as_if_it_were_alone(tiny_run, observations)
 
 
 def test_a_goal_about_the_robot_is_held_for_c_steps(tiny_run, observations):
-    agent = load(tiny_run)
-    interval = agent.config.hierarchy.controller_interval
-    goals = []
+    agent, goals = load(tiny_run), []
     for seen in observations[:, 0]:
         agent.act(seen)
         goals.append(tuple(agent.goal[0]))
-    assert interval == 25
+    interval = agent.config.hierarchy.controller_interval
     assert [len(set(goals[first : first + interval])) for first in (0, 25, 50)] == [1, 1, 1]
     assert len(set(goals)) == 3
     offset = goals[0] - observations[0, 0, :2]
