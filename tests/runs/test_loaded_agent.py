@@ -99,7 +99,6 @@ PLAYED = {
     "flat with clock": ("point-maze", {"algorithm": "es", "clock_frequency": 0.8}),
     "primitive alone": ("point-flagrun", {"controller_interval": 7, "goal_distance": 2.5}),
     "ant's primitive": ("ant-flagrun", {"controller_interval": 7, "population_size": 4}),
-    "one-hot controller": ("point-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
     "controller and clock": ("point-push", {"clock_frequency": 0.8, "controller_interval": 6}),
 }
 
@@ -164,12 +163,11 @@ def test_a_primitive_alone_reads_the_goal_that_its_environment_sets(played, kind
 @pytest.mark.parametrize("kind", ["flat with clock", "controller and clock"])
 def test_the_clock_runs_with_the_calls_and_begins_anew_at_a_reset(played, kind):
     agent = load(played(kind), num_envs=2)
-    seen = np.full((2, agent.observation_size), 0.3)
-    first, second = agent.act(seen), agent.act(seen)
+    first, second = (agent.act(np.full((2, agent.observation_size), 0.3)) for _ in range(2))
     assert not np.array_equal(first, second)  # nothing else has changed
     agent.reset(1)
-    third = agent.act(seen)
-    np.testing.assert_array_equal(third[1], first[1])
+    third = agent.act(np.full((2, agent.observation_size), 0.3))
+    assert np.array_equal(third[1], first[1])
     assert not np.array_equal(third[0], first[0])
 
 
