@@ -129,7 +129,7 @@ def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeyp
             made(out, member, backend=backend)
     assert not out.exists()
     monkeypatch.undo()
-    with pytest.raises(RunFolderError, match="is a run folder: several runs need a folder of their own"):
+    with pytest.raises(RunFolderError, match="already holds a run"):
         made(finished / run().name, run())
 
 

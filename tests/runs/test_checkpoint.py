@@ -96,13 +96,10 @@ def change(path, **arrays):
 
 WRONG = {
     "format": [None, np.array([Bomb()], dtype=object), np.array("x"), np.int64(1), np.int64(99)],
-    "seed": [None, np.int64(-5)],
-    "generation": [None, np.int64(-1), np.zeros(2, np.int64), np.array("x")],
-    "env_steps": [None, np.int64(-5)],
-    "best_score": [None, np.float64("nan"), np.float64("inf"), np.array("1")],
-    "best_return": [np.float64("inf")],
-    "best_generation": [np.int64(-2), np.array([1, 2])],
-    "settings": [None, np.array("[1]"), np.array("{"), np.array("[" * 100_000), np.array("7"), np.int64(3)],
+    "seed": [None],
+    "best_score": [None],
+    "best_generation": [np.array([1, 2])],
+    "settings": [None, np.array("[1]"), np.array("{"), np.array("[" * 100_000), np.int64(3)],
 }
 
 

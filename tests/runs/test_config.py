@@ -119,17 +119,12 @@ def test_settings_cannot_be_changed():
             setattr(target, name, 1)
 
 
-def test_a_record_that_no_run_has_is_refused_but_an_older_one_is_not():
+def test_what_is_newer_than_a_record_has_its_default():
     record = make().to_dict()
-    for changes, message in (
-        ({"evolution": 1}, r"'evolution' must be an object of settings, got 1"),
-        ({"run": {}}, r"the configuration names no environment"),
-        ({"workers": {"sigma": 9.0}}, r"sigma is 9\.0 in one section and 0\.07 in section 'evol.*both the sa"),
-    ):
-        with pytest.raises(ConfigError, match=message):
-            TrainConfig.from_dict({**record, **changes})
     del record["exploration"], record["workers"]["chunk_size"]
     assert TrainConfig.from_dict(record) == make()
+    with pytest.raises(ConfigError, match="the configuration names no environment"):
+        TrainConfig.from_dict({**record, "run": {}})
 
 
 def test_a_shared_setting_is_one_setting():

@@ -114,8 +114,12 @@ def test_a_symbolic_link_to_the_run_folder_or_in_it_is_followed(tmp_path, run_co
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("[" * 100_000, "cannot be read"), ('{"format": 2, "config": []}', "is damaged: ")],
-    ids=["too deep", "a list"],
+    [
+        ("[" * 100_000, "cannot be read"),
+        ('{"format": 2, "config": []}', "is damaged: "),
+        ('{"format": 2, "config": {"run": 1}}', "is damaged: "),
+    ],
+    ids=["too deep", "a list", "a number"],
 )
 def test_a_record_that_no_run_writes_is_one_clear_error(run_copy, text, message):
     path = run_copy / "config.json"

@@ -228,15 +228,6 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
     return path
 
 
-def check_folder_of_runs(path: Path) -> None:
-    """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
-    for place in (path, *path.parents):
-        if place.exists() and not place.is_dir():
-            raise RunFolderError(f"{place} is a file, not a folder. Choose another path with --out.")
-    if (path / "config.json").exists():
-        raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
-
-
 def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Return the first settings in which two runs differ, in words; empty if they are the same."""
     names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
