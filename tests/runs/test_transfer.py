@@ -194,10 +194,10 @@ def test_what_contradicts_the_level_is_refused(sources, tmp_path, source, env, n
     assert list(tmp_path.iterdir()) == []
 
 
-OTHER_ROBOT = "it was trained on ant-flagrun for the ant with 8 controls of up to 30, but .* has {}"
+OTHER_ROBOT = "it was trained on ant-flagrun for the ant, but .* has {}. Name a primitive of the same robot with"
 MISFITS = {
     # The level's run; the environment; further settings; the message.
-    "another robot": ("ant", "point-gather", {}, OTHER_ROBOT.format("the point with 2 controls of up to 1")),
+    "another robot": ("ant", "point-gather", {}, OTHER_ROBOT.format("the point")),
     "an external robot": ("walker", "gymnasium:shes/PointMaze-v0", {}, OTHER_ROBOT.format("an external robot")),
     "another task": ("two levels", "point-gather", {}, r"\nIt was trained on point-push: .*\nHere there is: "),
     "another specification": ("ant", "ant-gather", {"spec": "hiro"}, r"of specification shes and 8(.|\n)*on hiro and"),

@@ -49,10 +49,6 @@ class LevelTransfer(ABC):
     def move(self, source: Any, state: Any) -> Any:
         """Return `state` with the parameters and statistics of the level in state `source`."""
 
-    def is_egocentric(self, source: Any) -> bool:
-        """Return whether the level of a run with settings `source` sees the robot's state in its own frame."""
-        return False
-
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:

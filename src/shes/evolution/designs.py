@@ -187,10 +187,6 @@ class PrimitiveTransfer(_Transfer):
             f"{task.action_size} controls of up to {task.control_limit:g}"
         )
 
-    def is_egocentric(self, source: Any) -> bool:
-        """Return whether the primitive sees the robot's state in its own frame."""
-        return PRIMITIVE_VIEWS.find(source.hierarchy.primitive_view).is_egocentric
-
 
 class ControllerTransfer(_Transfer):
     """The transfer of a controller."""
