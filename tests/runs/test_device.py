@@ -243,9 +243,3 @@ def test_there_are_never_more_workers_than_episodes(tmp_path, run_copy, monkeypa
     ):
         with pytest.raises(BegunError, match=f"^{expected}$"):
             start()
-
-
-def test_the_noise_table_is_checked_before_the_run_folder_is_made(tmp_path):
-    with pytest.raises(ConfigError, match=r"size is 1,000,000,000,000, which takes 4,000\.0 GB, but .*most"):
-        runs.train_tiny(tmp_path / "run", noise_table_size=10**12)
-    assert list(tmp_path.iterdir()) == []

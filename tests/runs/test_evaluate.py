@@ -44,7 +44,7 @@ def test_fewer_episodes_are_the_first_of_more_and_a_seed_chooses_others(tiny_run
     def found(episodes, seed=None, checkpoint="best"):
         with recording() as record:
             result = evaluate(tiny_run, episodes=episodes, num_workers=1, seed=seed, checkpoint=checkpoint)
-        return result, [seed for each in record.of("evaluation") for task in each.tasks for seed in task.seeds]
+        return result, record.seeds("evaluation")
 
     (few, of_few), (many, of_many), (one, of_one), (again, of_again) = found(3), found(5), found(5, 1), found(5, 1, "0")
     assert all(np.array_equal(getattr(few, name), getattr(many, name)[:3]) for name in ARRAYS)

@@ -56,15 +56,6 @@ def test_the_best_evaluation_is_kept_also_over_a_resume(tmp_path, find, found, b
         assert one.tobytes() == other.tobytes()
 
 
-def test_training_evaluates_the_policies_that_it_stores(tiny_run):
-    """Of the rows of the table the best one is that of the checkpoint."""
-    folder = RunFolder.open(tiny_run)
-    table = read_csv(folder.evaluation)
-    best = folder.load("last").best
-    ranked = sorted(zip(table["score_mean"], table["return_mean"], table["generation"], strict=True))
-    assert ranked[-1] == (best.score, best.mean_return, best.generation)
-
-
 def test_a_run_that_is_not_over_says_how_it_goes_on(tmp_path):
     path = tmp_path / "run"
     stopped = shes.train("point-gather", out=path, minutes=1e-9, **runs.TINY)

@@ -102,6 +102,21 @@ def tasks(record):
     return record.of("training")[0].tasks
 
 
+def num_members(kind="training"):
+    """Return what reads the number of members."""
+    return lambda r: sum(len(task.signs) for task in r.of(kind)[0].tasks)
+
+
+def longest(record):
+    """Return the number of steps of the longest episode of training."""
+    return max(int(each.steps.max()) for each in record.of("training")[0].results)
+
+
+def shaped_and_changed(record):
+    """Return for every update whether any fitness was not 0, and whether any parameter changed."""
+    return [(bool(u.shaped.any()), not np.array_equal(u.before.theta, u.result.level.theta)) for u in record.updates]
+
+
 def perturbed(record):
     """Return which levels are perturbed in every generation, by any member."""
     return [np.abs([s for t in each.tasks for s in t.signs]).max(axis=0).tolist() for each in record.of("training")]
@@ -149,20 +164,20 @@ BRIEF = {**INTERVALS, "horizon": 12, "controller_interval": 5}
 SCHEDULED = {"common": BRIEF, "generations": (0, 4, 8)}
 GROUPS: dict[str, Group] = {
     "evolution": Group({
-        "population_size": Row(24, lambda r: r.of("training")[0].num_members, 24),
+        "population_size": Row(24, num_members(), 24),
         "episodes_per_policy": Row(3, lambda r: {len(task.seeds) / len(task.signs) for task in tasks(r)}, {3}),
         "sigma": Row(0.5, sigmas(), [0.5]),
         "learning_rate": Row(0.45, learning_rates, [0.45]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
         "fall_price": Row(2.0, rules("fall_price"), [0, 2]),
         "mirrored": Row(
-            "pair", lambda r: r.of("training")[0].num_members / len({task.noise_index for task in tasks(r)}), 2
+            "pair", lambda r: num_members()(r) / len({task.noise_index for task in tasks(r)}), 2
         ),
         "fitness_shaping": Row(
             "pair_rank", lambda r: [type(u.rule.shaping).__name__ for u in r.updates], ["PairRanks"] * 2
         ),
         "optimizer": Row("sgd", lambda r: [[*u.result.level.optimizer.slots] for u in r.updates], [["velocity"]] * 2),
-        "common_random_numbers": Row("population", lambda r: len(r.seeds("training")), 3),
+        "common_random_numbers": Row("population", lambda r: len({*r.seeds("training")}), 3),
         "statistics_fraction": Row(
             0.25, lambda r: r.state.levels[-1].statistics.count / r.state.env_steps < 0.5, True
         ),
@@ -174,7 +189,7 @@ GROUPS: dict[str, Group] = {
         "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"]),
         "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"]),
         "evaluation_horizon": Row(
-            12, lambda r: (r.of("training")[0].steps, int(r.evaluation.steps.max())), (10, 12)
+            12, lambda r: (longest(r), int(r.evaluation.steps.max())), (10, 12)
         ),
         "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2),
         "integrator": Row("rk4", batches(lambda b: b.sim.model.opt.integrator), [1] * 2),
@@ -201,7 +216,7 @@ GROUPS: dict[str, Group] = {
             ), (3, 3),
         ),
         "horizon": Row(
-            90, lambda r: (r.of("training")[0].steps, max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)
+            90, lambda r: (longest(r), max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)
         ),
         "goal_distance": Row(
             2.5, lambda r: (r.of("training")[0].rollout.design.controller.goal_distance, goals_within(r, 2.5)),
@@ -213,7 +228,7 @@ GROUPS: dict[str, Group] = {
         "output_weights": Row("zero", theta(lambda *each: bool(output_layer(*each).any())), [False] * 2),
         "fall_price": Row(3.0, rules("fall_price"), [0, 3]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
-        "primitive_population_size": Row(12, lambda r: r.of("branch")[0].num_members, 12),
+        "primitive_population_size": Row(12, num_members("branch"), 12),
         "primitive_sigma": Row(0.3, sigmas("branch"), [0.3]),
         "primitive_learning_rate": Row(0.07, learning_rates, [0.04, 0.07]),
     }, common=INTERVALS),
@@ -232,7 +247,7 @@ GROUPS: dict[str, Group] = {
     }, common={**SHORT, "primitive_view": "egocentric"}),
     "ties": Group({
         "rank_ties": Row(
-            "index", lambda r: [(bool(each.shaped.any()), each.stays) for each in r.updates], [(True, False)] * 2
+            "index", shaped_and_changed, [(True, True)] * 2
         ),
     }, common={"horizon": 2}),  # too short for an apple: all controllers have the same fitness
     "perturbation": Group({
@@ -355,7 +370,7 @@ def test_training_evaluation_and_the_final_evaluation_share_no_episode(tmp_path)
         path = runs.train_tiny(tmp_path / "run", generations=3, evaluation_interval=1)
     with recording() as final:
         shes.evaluate(path, checkpoint="last", episodes=3, num_workers=1)
-    seeds = [record.seeds("training"), record.seeds("evaluation"), final.seeds("evaluation")]
+    seeds = [{*record.seeds("training")}, {*record.seeds("evaluation")}, {*final.seeds("evaluation")}]
     assert [len(each) for each in seeds] == [6, 9, 3]
     assert len(set.union(*seeds)) == 18
 
