@@ -87,7 +87,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not(copy, finished, has_mor
 
 @pytest.mark.parametrize(
     ("other", "what"),
-    [({"sigma": 0.5}, r"sigma is 0\.07 there, not 0\.5"), ({"generations": 9}, "generations is 4 there, not 9")],
+    [({"sigma": 0.5}, r"sigma is 0\.07, not 0\.5"), ({"generations": 9}, "generations is 4, not 9")],
 )
 def test_a_run_of_other_settings_is_refused_and_named(copy, other, what):
     match = rf"seed-5 holds a run of other settings than \S+/seed-5, such as another --scale: {what}"

@@ -142,16 +142,10 @@ def test_damage_is_noticed_or_harmless(whole, share, value):
     assert_same(read, make())
 
 
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"controller/theta": np.ones(1, np.float32)}, r"holds controller/theta as float32 of shape \(1,\), where"),
-        ({"seed": np.int64(99)}, r"is damaged: its seed is 99, not \d"),
-    ],
-)
-def test_arrays_of_another_run_are_refused(run_copy, arrays, message):
+def test_arrays_of_another_run_are_refused(run_copy):
+    message = r"holds controller/theta as float32 of shape \(1,\), where"
     for name in ("last", "best"):
-        change(run_copy / "checkpoints" / f"{name}.npz", **arrays)
+        change(run_copy / "checkpoints" / f"{name}.npz", **{"controller/theta": np.ones(1, np.float32)})
     for go_on in (shes.load, lambda path: shes.resume(path, generations=9)):
         with pytest.raises(CheckpointError, match=rf"(last|best)\.npz {message}"):
             go_on(run_copy)

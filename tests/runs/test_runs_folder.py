@@ -135,7 +135,7 @@ def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(begun, ca
     record = (begun / "runs.json").read_bytes()
     again = ["train", "point-gather", *runs.flags(**SEVERAL)]
     more = ("--out", begun, "--seed", "4", "5", "6")
-    assert "has run seed-4 with other settings: sigma is 0.07 there, not 0.5" in refused(
+    assert "has run seed-4 with other settings: sigma is 0.07, not 0.5" in refused(
         capsys, *again, *more, "--sigma", "0.5"
     )
     with RunFolder(begun).lock():

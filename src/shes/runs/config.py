@@ -260,10 +260,9 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
             continue
         everywhere = known_settings()
         if name not in everywhere:
-            close = difflib.get_close_matches(name, here, n=3)
+            close = difflib.get_close_matches(name, here, n=1)
             hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
-            similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
-            raise ConfigError(f"unknown setting {name!r}. {hint}{similar}")
+            raise ConfigError(f"unknown setting {name!r}. {hint}")
         raise ConfigError(
             f"{name} is not a setting of a run of {values['env']} with algorithm "
             f"{values.get('algorithm', RunSettings.algorithm)!r}, got {values[name]!r}. Omit {everywhere[name].flag}."
