@@ -146,20 +146,6 @@ def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
     assert (agent.goal is None) == kind.startswith("flat")
 
 
-@pytest.mark.parametrize("kind", ["primitive alone", "ant's primitive"])  # the ant turns, the point does not
-def test_a_primitive_alone_reads_the_goal_that_its_environment_sets(played, kind):
-    agent = load(played(kind))
-    env = gymnasium_env(agent.config)
-    observation, _ = env.reset(seed=3)
-    task, goals = env.unwrapped.task, set()
-    for _ in range(agent.config.episodes.evaluation_horizon):
-        action = agent.act(observation)
-        np.testing.assert_allclose(agent.goal, task.goal, atol=1e-9)
-        goals.add(tuple(task.goal[0]))
-        observation = env.step(action)[0]
-    assert len(goals) == -(-agent.config.episodes.evaluation_horizon // agent.config.hierarchy.controller_interval)
-
-
 @pytest.mark.parametrize("kind", ["flat with clock", "controller and clock"])
 def test_the_clock_runs_with_the_calls_and_begins_anew_at_a_reset(played, kind):
     agent = load(played(kind), num_envs=2)

@@ -141,9 +141,7 @@ def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(begun, ca
     with RunFolder(begun).lock():
         assert "is in use" in refused(capsys, *again, *more)
     assert (begun / "runs.json").read_bytes() == record
-    assert "already holds a run" in refused(
-        capsys, *again, "--out", begun / "seed-4", "--seed", "4", "5"
-    )
+    assert "already holds a run" in refused(capsys, *again, "--out", begun / "seed-4", "--seed", "4", "5")
     assert "is a file" in refused(capsys, *again, "--out", begun / "runs.json", "--seed", "4", "5")
 
 

@@ -14,7 +14,8 @@ from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from tests.e2e import runs
 
-ANT = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1, "population_size": 4, "evaluation_episodes": 2}
+EVERY = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1}
+ANT = {**EVERY, "population_size": 4, "evaluation_episodes": 2}
 BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5}
 """What a primitive brings. No value is a default."""
 WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
