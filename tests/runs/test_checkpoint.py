@@ -96,7 +96,6 @@ def change(path, **arrays):
 
 WRONG = {
     "format": [None, np.array([Bomb()], dtype=object), np.array("x"), np.int64(1), np.int64(99)],
-    "seed": [None],
     "best_score": [None],
     "best_generation": [np.array([1, 2])],
     "settings": [None, np.array("[1]"), np.array("{"), np.array("[" * 100_000), np.int64(3)],

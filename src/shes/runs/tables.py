@@ -86,8 +86,11 @@ class CsvTable:
             )
         header, *rows = (_read_rows(path) if path.is_file() else []) or [[]]
         _columns(path, [header, *rows])  # raises if it is damaged
-        kept = [row for row in rows if float(row[0]) <= keep_until]
-        if has_every_row and kept and float(kept[-1][0]) != keep_until:
+        try:
+            kept = [row for row in rows if int(row[0]) <= keep_until]
+        except ValueError as error:
+            raise _damaged(path, error) from error
+        if has_every_row and kept and int(kept[-1][0]) != keep_until:
             raise RunFolderError(
                 f"{path} ends with generation {kept[-1][0]}, but the run has made {keep_until}: rows are missing. "
                 "Restore it from a copy, or empty it to go on without the rows so far."
