@@ -78,7 +78,7 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         cells = [
             (
                 run.run,
-                run.env or "-",
+                str(run.env or "-"),
                 " / ".join("-" if each is None else str(each) for each in (run.generation, run.generations)),
                 "-" if run.best_score is None else f"{run.best_score:.2f}",
                 run.state,
