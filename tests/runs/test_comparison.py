@@ -35,7 +35,7 @@ def test_the_permutation_test_of_few_values_is_exact(first, second):
     assert permutation_test(first, second) == pytest.approx(np.mean(found))
 
 
-def test_the_permutation_test_of_many_values_is_seeded_and_never_zero():
+def test_the_p_of_many_values_is_seeded_and_never_zero():
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=10), rng.normal(size=10) + 20
     assert permutation_test(first, second) == permutation_test(first, second) > 0
@@ -43,7 +43,7 @@ def test_the_permutation_test_of_many_values_is_seeded_and_never_zero():
     assert permutation_test(np.full(5, 0.1), np.full(10, 0.1)) == 1  # whatever the order of summation
 
 
-def test_without_scipy_nothing_is_compared_and_the_extra_is_named(monkeypatch):
+def test_without_scipy_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(MissingExtraError, match=r"comparing runs needs SciPy \(.*pip install 'shes\[compare\]'"):
         permutation_test(np.zeros(2), np.ones(2))
@@ -121,7 +121,7 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
 # Repetitions: runs on primitives of other runs are if their primitives are.
 
 
-def test_runs_whose_primitives_differ_in_the_seed_are_repetitions(transferred, copied, compared):
+def test_runs_whose_primitives_differ_in_the_seed_are_alike(transferred, copied, compared):
     primitives = transferred / "flagrun" / "a"
     train_on(primitives / "seed-1", copied / "shared", seed=3)
     train_on(primitives / "seed-2", copied / "same", seed=3)  # of one seed, but of two primitives

@@ -68,7 +68,7 @@ def stand_in(monkeypatch):
         ),
     ],
 )
-def test_what_does_nothing_on_the_device_is_refused_where_it_is_asked(asked, message):
+def test_what_does_nothing_on_the_device_is_refused(asked, message):
     with pytest.raises(ConfigError, match=message):
         make_config("point-gather", "smoke", {"device": "cuda", **asked})
     for idle in ({"backend": "serial", "num_workers": 1}, {"num_workers": 0, "nconmax": None}):
@@ -138,7 +138,7 @@ def test_an_evaluation_is_on_the_cpu_unless_said(run_copy, monkeypatch):
             shes.evaluate(run_copy, **asked)
 
 
-def test_a_run_records_the_packages_of_its_algorithm_and_a_resume_changes(monkeypatch, tmp_path):
+def test_a_run_records_its_packages_and_a_resume_their_changes(monkeypatch, tmp_path):
     found = {**dict.fromkeys(("shes", "mujoco", "numpy"), "1"), "jax": "0.10.2"}
 
     def version(name):
@@ -187,7 +187,7 @@ SIZES = ["population_size", "episodes_per_policy", "evaluation_episodes", "horiz
 
 
 @pytest.mark.parametrize("settings", [{name: 10**12} for name in SIZES] + [{"num_workers": 60, "backend": "processes"}])
-def test_what_does_not_fit_the_memory_is_refused_before_there_is_a_folder(fits, settings):
+def test_what_does_not_fit_the_memory_leaves_no_folder(fits, settings):
     assert not fits(2 * 10**9, **{"population_size": 1000, **settings})
 
 

@@ -27,7 +27,7 @@ def same(one, other):
     return all(getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in ARRAYS)
 
 
-def test_neither_workers_nor_the_cluster_of_a_run_change_a_number(tmp_path, monkeypatch):
+def test_neither_workers_nor_a_cluster_change_a_number(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "gone:6379")  # the cluster that trained the run need not be there
     # With three episodes per policy, the last block of seven episodes is not full.
     run = runs.train_tiny(tmp_path / "run", episodes_per_policy=3, generations=1)
@@ -40,7 +40,7 @@ def test_neither_workers_nor_the_cluster_of_a_run_change_a_number(tmp_path, monk
     assert one.scores.shape == (7,)
 
 
-def test_fewer_episodes_are_the_first_of_more_and_a_seed_chooses_others(tiny_run):
+def test_fewer_episodes_are_the_first_and_a_seed_chooses_others(tiny_run):
     def found(episodes, seed=None, checkpoint="best"):
         with recording() as record:
             result = evaluate(tiny_run, episodes=episodes, num_workers=1, seed=seed, checkpoint=checkpoint)

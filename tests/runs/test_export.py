@@ -97,7 +97,7 @@ def test_numpy_alone_acts_as_our_agent_to_the_bit(trained, tmp_path, kind):
     assert len(np.unique(actions, axis=0)) > STEPS / 2  # the episode proves something
 
 
-def test_a_shipped_agent_is_exported_by_its_name_and_acts_anew_after_a_reset(tmp_path):
+def test_an_exported_shipped_agent_acts_anew_after_a_reset(tmp_path):
     (file,) = shes.export("ant-gather", tmp_path / "policy.npz")
     exported, steps = run_exported.ExportedAgent(file), list(episode("ant-gather"))
     for _ in range(2):
@@ -151,9 +151,7 @@ def test_the_actions_of_external_environments_are_described(tmp_path, env_id, ki
         ({"format": "onnx", "out": "policy.onnx"}, MissingExtraError, r"pip install 'shes\[onnx\]'"),
     ],
 )
-def test_what_cannot_be_exported_is_refused_and_nothing_is_written(
-    trained, tmp_path, monkeypatch, given, error, message
-):
+def test_what_cannot_be_exported_is_refused(trained, tmp_path, monkeypatch, given, error, message):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "onnx", None)
     Path("folder.npz").mkdir()

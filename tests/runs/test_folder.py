@@ -43,7 +43,7 @@ def test_the_record_says_what_the_run_is_and_what_made_it(run_copy, monkeypatch)
     assert RunFolder.open(run_copy).read_config() == before.having(generations=6, keep_checkpoints=3)
 
 
-def test_a_new_folder_is_named_after_the_run_and_never_given_twice(monkeypatch, tmp_path):
+def test_a_new_folder_has_the_runs_name_and_is_never_given_twice(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     paths = [runs.train_tiny(None, minutes=1e-9) for _ in range(3)]
     assert all(re.fullmatch(r"runs/point-gather-smoke-seed5-\d{8}-\d{6}(-\d)?", str(path)) for path in paths)
@@ -94,7 +94,7 @@ def test_parts_of_a_run_without_a_record_are_not_overwritten(tmp_path, name):
     assert part.read_text() == "mine"
 
 
-def test_a_run_may_begin_beside_other_files_and_where_one_was_stopped(tmp_path):
+def test_a_run_may_begin_where_other_files_or_a_stopped_one_are(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with RunFolder.create(tmp_path).lock():
         pass

@@ -147,7 +147,7 @@ def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
 
 
 @pytest.mark.parametrize("kind", ["flat with clock", "controller and clock"])
-def test_the_clock_runs_with_the_calls_and_begins_anew_at_a_reset(played, kind):
+def test_the_clock_runs_with_the_calls_until_a_reset(played, kind):
     agent = load(played(kind), num_envs=2)
     first, second = (agent.act(np.full((2, agent.observation_size), 0.3)) for _ in range(2))
     assert not np.array_equal(first, second)  # nothing else has changed
@@ -159,7 +159,7 @@ def test_the_clock_runs_with_the_calls_and_begins_anew_at_a_reset(played, kind):
 
 @pytest.mark.parametrize("copied", [lambda agent: pickle.loads(pickle.dumps(agent)), copy.copy])  # noqa: S301 - our own
 @pytest.mark.parametrize("run", ["tiny", "ant-gather"])
-def test_an_agent_is_pickled_and_copied_with_its_running_episodes(tiny_run, run, copied):
+def test_an_agent_is_copied_with_its_running_episodes(tiny_run, run, copied):
     agent = load(tiny_run if run == "tiny" else run, num_envs=2)
     seen = np.random.default_rng(0).normal(size=(60, 2, agent.observation_size))
     for rows in seen[:30]:  # into the second goal

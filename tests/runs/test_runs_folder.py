@@ -85,7 +85,7 @@ def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole,
     assert "all 3 runs of" in refused(capsys, "resume", path)
 
 
-def test_a_folder_goes_on_with_more_generations_seeds_and_minutes(tmp_path, capsys):
+def test_a_folder_goes_on_with_more_generations_and_seeds(tmp_path, capsys):
     path = tmp_path / "all"
     assert train(path, "--seed", "4", "5", generations=1) == 0
     assert main(["resume", str(path), "--generations", "2"]) == 0
@@ -105,7 +105,7 @@ def test_a_folder_goes_on_with_more_generations_seeds_and_minutes(tmp_path, caps
     assert set(generations(path).values()) == {4}
 
 
-def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys):
+def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch, capsys):
     errors = {"seed-4": PolicyError, "seed-5": WorkerError, "seed-6": DivergenceError}
 
     def fail(display, row):
@@ -131,7 +131,7 @@ def begun(tmp_path_factory):
     return path
 
 
-def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(begun, capsys):
+def test_a_folder_in_use_or_of_other_settings_is_refused(begun, capsys):
     record = (begun / "runs.json").read_bytes()
     again = ["train", "point-gather", *runs.flags(**SEVERAL)]
     more = ("--out", begun, "--seed", "4", "5", "6")

@@ -69,7 +69,7 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(elsewhere):
     assert own.theta.tobytes() == brought.theta.tobytes()
 
 
-def test_a_shipped_agent_has_its_best_checkpoint_and_is_not_written_into():
+def test_a_shipped_agent_is_not_written_into():
     run = AGENTS / "ant-walker"  # its name is tried in tests/test_cli.py
     with pytest.raises(CheckpointError, match=r"agent ant-walker has only the checkpoint best, got 'last'\. Omit --"):
         shes.evaluate(run, checkpoint="last")
@@ -133,7 +133,7 @@ def test_every_shipped_agent_is_small_complete_and_acts(name):
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_the_last_command_of_a_shipped_agent_still_gives_its_settings(name, monkeypatch):
+def test_the_command_of_a_shipped_agent_gives_its_settings(name, monkeypatch):
     def train(env, *, preset, out, progress, **settings):
         asked.update(settings)
         raise ConfigError(f"{env} is not trained here")

@@ -89,7 +89,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_table_that_is_not_whole_is_refused_and_an_empty_one_goes_on(run_copy, case):
+def test_a_broken_table_is_refused_and_an_empty_one_goes_on(run_copy, case):
     name, damage, message = REFUSED[case]
     path = run_copy / f"{name}.csv"
     lines = path.read_text().splitlines()
@@ -149,7 +149,7 @@ def test_a_hierarchical_run_has_a_dozen_finite_charts(tmp_path):
     assert [math.isnan(value) for value in table["primitive_gradient_norm"]] == [True, False, True, False]
 
 
-def test_hyperparameters_are_written_once_and_a_resume_hides_what_it_repeats(run_copy, monkeypatch):
+def test_a_resume_hides_charts_that_it_repeats(run_copy, monkeypatch):
     monkeypatch.setattr("time.time", lambda: 2e9)  # two parts may begin within a second
     for generation in (5, 6):
         shes.resume(run_copy, generations=generation)

@@ -70,7 +70,7 @@ def test_several_seeds_are_several_calls():
         shes.train("point-gather", preset="smoke", seed=[1, 2])
 
 
-def test_a_generation_is_on_the_disk_as_rows_then_checkpoints_then_last(tmp_path, monkeypatch):
+def test_a_generation_is_written_as_rows_then_checkpoints(tmp_path, monkeypatch):
     """A machine that goes down loses what is not: a checkpoint whose rows are missing could not go on."""
     path, synced, original = runs.train_tiny(tmp_path / "run", generations=1), [], os.fsync
 
@@ -95,7 +95,7 @@ def test_a_run_ends_with_the_generation_that_reaches_its_steps(tmp_path, tiny_ru
     assert runs.differences(tiny_run, path) == []
 
 
-def test_a_row_has_steps_and_time_and_a_run_warns_of_its_settings(tmp_path):
+def test_a_row_has_steps_and_time_and_a_run_gives_warnings(tmp_path):
     settings = {"primitive_view": "egocentric", "primitive_estimate": "interval", "controller_interval": 4}
     heard, told = [], "a branch has 12 steps, more than an episode (8): see --intervals"
     listener = SimpleNamespace(on_event=heard.append)

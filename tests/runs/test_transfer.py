@@ -75,7 +75,7 @@ def values_of(path):
 
 
 @pytest.mark.parametrize(("task", "source"), [("gather", "ant"), ("push", "ant of hiro")])
-def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(sources, tmp_path, task, source):
+def test_a_frozen_primitive_serves_every_task_of_its_robot(sources, tmp_path, task, source):
     """Two policies are a whole population: only the controller is mirrored."""
     spec, path = "hiro" if "hiro" in source else "shes", tmp_path / "run"
     runs.train_tiny(path, f"ant-{task}", primitive=str(sources(source)), generations=2, population_size=2, spec=spec)

@@ -310,7 +310,7 @@ def test_settings_arrive_where_they_are_used(name):
     assert [each for each, row in group.rows.items() if row.place(usual) == row.expected] == []
 
 
-def test_what_acts_in_branches_is_the_primitive_of_the_runs_agent():
+def test_the_primitive_of_the_agent_acts_in_branches():
     alone = record_generations("point-flagrun", GROUPS["flagrun"].common).algorithm.plan()
     assert alone.branch_design is None  # it acts as everywhere
     plan = record_generations("point-gather", INTERVALS).algorithm.plan()
@@ -364,7 +364,7 @@ def test_every_setting_has_a_row():
     assert rows | of_hiro == known_settings().keys() - {"max_diverged_generations"}  # which is fixed
 
 
-def test_training_evaluation_and_the_final_evaluation_share_no_episode(tmp_path):
+def test_training_and_evaluations_share_no_episode(tmp_path):
     # An evaluation after generation 1 has the key of the second generation of training: only the purpose differs.
     with recording() as record:
         path = runs.train_tiny(tmp_path / "run", generations=3, evaluation_interval=1)
