@@ -29,7 +29,7 @@ from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.machine import core_numbers
 from shes.runs.comparison import check_scipy
 from shes.runs.config import TrainConfig, WorkerSettings
-from shes.runs.folder import RunFolder, check_folder_of_runs, differing
+from shes.runs.folder import RunFolder, differing
 from shes.runs.progress_display import format_duration
 from shes.runs.train import finish_run
 from shes.storage import storage_errors
@@ -96,7 +96,7 @@ def check_experiment(experiment: Experiment, out: Path, backend: str = "processe
     """Check packages, settings and folders before hours of runs; see `run_experiment`."""
     check_scipy()
     BACKENDS.find(backend)
-    check_folder_of_runs(out)
+    RunFolder(out).check_free()
     algorithms = {}
     for run in experiment.runs:
         folder = RunFolder(out / run.name)

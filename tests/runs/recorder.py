@@ -5,99 +5,54 @@ Tests compare these with the settings of the run. The serial backend is recorded
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 
-from shes.es.level import LevelState, LevelUpdate, UpdateRule, update_level
+from shes.es.level import update_level
 from shes.es.noise import NoiseTable
 from shes.evolution import way_search
 from shes.evolution.state import TrainState
 from shes.rollout import worker
-from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
+from shes.rollout.episodes import Generation
 from shes.rollout.exploration import Exploration
 from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm, build_backend
-from shes.runs.evaluate import Evaluation, evaluate_state
+from shes.runs.evaluate import evaluate_state
 from shes.runs.make_config import make_config
 from shes.sim.simulator import CpuSimulator
 
 
-@dataclass(frozen=True, kw_only=True)
-class RolledOut:
-    """Tasks that a worker ran, and their results."""
+class Record(SimpleNamespace):
+    """Rollouts, updates and simulators of a run.
 
-    rollout: Rollout
-    generation: Generation
-    table: NoiseTable
-    tasks: list[EpisodeTask]
-    results: list[EpisodeResults] = field(default_factory=list)
+    A rollout has `rollout`, `generation`, `table`, `tasks` and `results`; an update has `before`, `shaped`, `rule`,
+    `learning_rate` and `result`.
+    """
 
-    @property
-    def steps(self) -> int:
-        """Number of steps of the longest episode."""
-        return max(int(each.steps.max()) for each in self.results)
-
-    @property
-    def num_members(self) -> int:
-        """Number of members."""
-        return sum(len(task.signs) for task in self.tasks)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Update:
-    """Arguments and result of one update of a level."""
-
-    before: LevelState
-    shaped: np.ndarray
-    rule: UpdateRule
-    learning_rate: float
-    result: LevelUpdate
-
-    @property
-    def stays(self) -> bool:
-        """Return whether the parameters stay the same."""
-        return np.array_equal(self.before.theta, self.result.level.theta)
-
-
-@dataclass(kw_only=True)
-class Record:
-    """Rollouts, updates and simulators of a run."""
-
-    rolled_out: list[RolledOut] = field(default_factory=list)
-    updates: list[Update] = field(default_factory=list)
-    noises: set[str] = field(default_factory=set)
-    """Names of the exploration noises."""
-    device_simulators: list[dict[str, Any]] = field(default_factory=list)
-    """Arguments of every simulator on a device."""
-    backend: str = ""
-    num_processes: int = 0
-    algorithm: Any = None
-    state: Any = None
-    """The state after the last generation."""
-    evaluation: Evaluation | None = None
-
-    def of(self, kind: str) -> list[RolledOut]:
+    def of(self, kind: str) -> list[SimpleNamespace]:
         """Return the rollouts of `training`, `branch` or `evaluation`."""
         return [each for each in self.rolled_out if each.generation.kind == kind]
 
-    def seeds(self, kind: str) -> set[int]:
-        """Return the seeds of the episodes of a kind."""
-        return {seed for each in self.of(kind) for task in each.tasks for seed in task.seeds}
+    def seeds(self, kind: str) -> list[int]:
+        """Return the seeds of the episodes of a kind, in order."""
+        return [seed for each in self.of(kind) for task in each.tasks for seed in task.seeds]
 
 
 @contextmanager
 def recording() -> Iterator[Record]:
     """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
-    record, of_step = Record(), Exploration.of_step
+    record = Record(rolled_out=[], updates=[], noises=set(), device_simulators=[])
+    of_step = Exploration.of_step
 
     class RecordedRollout(Rollout):
         def run(self, take: Any, generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
-            own = RolledOut(rollout=self, generation=generation, table=table, tasks=[])
+            own = SimpleNamespace(rollout=self, generation=generation, table=table, tasks=[], results=[])
             record.rolled_out.append(own)
 
             def noted(room: int) -> Any:
@@ -122,7 +77,7 @@ def recording() -> Iterator[Record]:
 
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)
-        own = Update(before=level, shaped=shaped, rule=rule, learning_rate=learning_rate, result=result)
+        own = SimpleNamespace(before=level, shaped=shaped, rule=rule, learning_rate=learning_rate, result=result)
         record.updates.append(own)
         return result
 

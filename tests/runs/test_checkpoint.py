@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import shes
 from shes.errors import CheckpointError, ConfigError, StorageError
-from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
+from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
 
 NUMBERS = {"env": "point-gather", "sigma": 0.1 + 0.2, "hidden": [4, 4]}
 NOT_WHOLE = "is not a whole SHES checkpoint"
@@ -20,20 +20,18 @@ NOT_WHOLE = "is not a whole SHES checkpoint"
 def make(generation=7):
     """A checkpoint with arrays of every kind that a learner may have."""
     rng = np.random.default_rng(generation)
+    counts = {"seed": 2**62, "generation": generation, "env_steps": 10**13}
     arrays = {
-        "seed": np.int64(2**62),
-        "generation": np.int64(generation),
-        "env_steps": np.int64(10**13),
         "levels": np.array(["controller", "primitive"]),
         "controller/theta": rng.standard_normal(11, dtype=np.float32),
         "primitive/observation_total": rng.standard_normal(4),
         "archive": np.empty((0, 2)),
-        "best": np.float64(-np.inf),
+        "best": np.array(-np.inf),
         "is_new": np.array([True, False]),
         "running/steps": np.arange(-1, 5).reshape(2, 3),
     }
     return Checkpoint(
-        arrays={name: np.asarray(values) for name, values in arrays.items()},
+        arrays={name: np.array(count) for name, count in counts.items()} | arrays,
         best=Best(generation=5, score=1 / 3, mean_return=-2 / 3),
         numbers=NUMBERS,
     )
@@ -74,20 +72,11 @@ def test_the_counts_are_read_without_the_state(path):
         load_checkpoint(path)
 
 
-@pytest.mark.parametrize("name", ["format", "settings", "best_score"])
-def test_a_learner_has_no_array_of_the_runs_own_names(tmp_path, name):
-    taken = replace(make(), arrays={**make().arrays, name: np.zeros(3)})
-    with pytest.raises(ConfigError, match=rf"to_arrays\(\) names an array {name}, which"):
+def test_a_learner_has_no_array_of_the_runs_own_names(tmp_path):
+    taken = replace(make(), arrays={**make().arrays, "settings": np.zeros(3)})
+    with pytest.raises(ConfigError, match=r"to_arrays\(\) names an array settings, which"):
         save_checkpoint(tmp_path / "a.npz", taken)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_error_of_a_learner_is_told_with_the_file(path):
-    def refuse(arrays):
-        raise KeyError("theta")
-
-    with pytest.raises(CheckpointError, match=rf"a\.npz {NOT_WHOLE} .*theta.*--checkpoint last"):
-        restore(make(), refuse, path)
 
 
 # Damaged files; others are in tests/e2e/test_bad_input.py.
@@ -107,20 +96,10 @@ def change(path, **arrays):
 
 WRONG = {
     "format": [None, np.array([Bomb()], dtype=object), np.array("x"), np.int64(1), np.int64(99)],
-    "seed": [None, np.int64(-5)],
-    "generation": [None, np.int64(-1), np.zeros(2, np.int64), np.array("x")],
-    "env_steps": [None, np.int64(-5)],
-    "best_score": [None, np.float64("nan"), np.float64("inf"), np.array("1")],
-    "best_return": [np.float64("inf")],
-    "best_generation": [np.int64(-2), np.array([1, 2])],
-    "settings": [None, np.array("[1]"), np.array("{"), np.array("[" * 100_000), np.array("7"), np.int64(3)],
+    "best_score": [None],
+    "best_generation": [np.array([1, 2])],
+    "settings": [None, np.array("[1]"), np.array("{"), np.array("[" * 100_000), np.int64(3)],
 }
-
-
-def test_a_pickle_is_refused_and_not_executed(path):
-    path.write_bytes(np.array([Bomb()], dtype=object).dumps())
-    with pytest.raises(CheckpointError, match=rf"a\.npz {NOT_WHOLE} .*truncated.*--checkpoint last, best"):
-        load_checkpoint(path)
 
 
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in WRONG.items() for value in values])
@@ -162,23 +141,10 @@ def test_damage_is_noticed_or_harmless(whole, share, value):
     assert_same(read, make())
 
 
-OF_ANOTHER_RUN = {
-    "shape": (
-        {"controller/theta": np.ones(1, np.float32)},
-        r"holds controller/theta as float32 of shape \(1,\), where",
-    ),
-    "type": ({"controller/theta": np.ones(3, np.complex64)}, "holds controller/theta as complex64"),
-    "unknown": ({"more": np.zeros(3)}, r"is not of this run: it has more\. Put back"),
-    "levels": ({"levels": np.array(["controller"])}, "(holds|has the) levels"),
-    "seed": ({"seed": np.int64(99)}, r"is damaged: its seed is 99, not \d"),
-}
-
-
-@pytest.mark.parametrize("case", OF_ANOTHER_RUN)
-def test_arrays_of_another_run_are_refused(run_copy, case):
-    arrays, message = OF_ANOTHER_RUN[case]
+def test_arrays_of_another_run_are_refused(run_copy):
+    message = r"holds controller/theta as float32 of shape \(1,\), where"
     for name in ("last", "best"):
-        change(run_copy / "checkpoints" / f"{name}.npz", **arrays)
+        change(run_copy / "checkpoints" / f"{name}.npz", **{"controller/theta": np.ones(1, np.float32)})
     for go_on in (shes.load, lambda path: shes.resume(path, generations=9)):
         with pytest.raises(CheckpointError, match=rf"(last|best)\.npz {message}"):
             go_on(run_copy)

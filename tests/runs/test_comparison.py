@@ -35,7 +35,7 @@ def test_the_permutation_test_of_few_values_is_exact(first, second):
     assert permutation_test(first, second) == pytest.approx(np.mean(found))
 
 
-def test_the_permutation_test_of_many_values_is_seeded_and_never_zero():
+def test_the_p_of_many_values_is_seeded_and_never_zero():
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=10), rng.normal(size=10) + 20
     assert permutation_test(first, second) == permutation_test(first, second) > 0
@@ -43,7 +43,7 @@ def test_the_permutation_test_of_many_values_is_seeded_and_never_zero():
     assert permutation_test(np.full(5, 0.1), np.full(10, 0.1)) == 1  # whatever the order of summation
 
 
-def test_without_scipy_nothing_is_compared_and_the_extra_is_named(monkeypatch):
+def test_without_scipy_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(MissingExtraError, match=r"comparing runs needs SciPy \(.*pip install 'shes\[compare\]'"):
         permutation_test(np.zeros(2), np.ones(2))
@@ -70,6 +70,12 @@ def transferred(tmp_path_factory):
 def compared(transferred):
     """Return a function that compares the runs of a folder with those of `gather/b`; return how many there are."""
     return lambda folder: compare_runs(folder, transferred / "gather" / "b", episodes=2, num_workers=1).first_count
+
+
+@pytest.fixture
+def copied(transferred, tmp_path):
+    """A copy of `gather/a`, to be changed."""
+    return shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
 
 
 def test_groups_are_compared_over_runs(transferred, capsys):
@@ -104,11 +110,7 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
         shutil.copytree(one, tmp_path / "twice" / copy)
     for first, second, message in (
         (gather / "a", one, r"one run cannot be compared with several: .*a has 2 and .*seed-1 has 1"),
-        (
-            gather,
-            gather / "b",
-            r"runs below .* differ in primitive's sigma\. Give the folder of one group, such as .*a",
-        ),
+        (gather, one, r"runs below .* differ in primitive's sigma\. Give the folder of one group, such as .*a"),
         (one, "ant-walker", "is a run of point-gather, ant-walker of ant-flagrun"),
         (tmp_path / "twice", gather / "a", "have the same seed and settings: they are one run"),
     ):
@@ -119,21 +121,19 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
 # Repetitions: runs on primitives of other runs are if their primitives are.
 
 
-def test_runs_whose_primitives_differ_in_the_seed_are_repetitions(transferred, tmp_path, compared):
+def test_runs_whose_primitives_differ_in_the_seed_are_alike(transferred, copied, compared):
     primitives = transferred / "flagrun" / "a"
-    shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
-    train_on(primitives / "seed-1", tmp_path / "all" / "shared", seed=3)
-    train_on(primitives / "seed-2", tmp_path / "all" / "same", seed=3)  # of one seed, but of two primitives
-    assert compared(tmp_path / "all") == 4
+    train_on(primitives / "seed-1", copied / "shared", seed=3)
+    train_on(primitives / "seed-2", copied / "same", seed=3)  # of one seed, but of two primitives
+    assert compared(copied) == 4
 
 
-def test_runs_on_a_primitive_of_another_length_are_none(transferred, tmp_path, compared):
+def test_runs_on_a_primitive_of_another_length_are_none(transferred, tmp_path, copied, compared):
     longer = shutil.copytree(transferred / "flagrun" / "a" / "seed-1", tmp_path / "longer")
     shes.resume(longer, generations=2)
-    shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
-    train_on(longer, tmp_path / "all" / "on-longer", seed=3)
+    train_on(longer, copied / "on-longer", seed=3)
     with pytest.raises(ConfigError, match=r"differ in primitive's generations\."):
-        compared(tmp_path / "all")
+        compared(copied)
 
 
 def test_a_chain_of_transfers_is_known_to_its_first_run(transferred, tmp_path, compared):
@@ -152,11 +152,10 @@ def test_a_chain_of_transfers_is_known_to_its_first_run(transferred, tmp_path, c
 
 
 @pytest.mark.parametrize("config", [None, [], {"run": {"env": "gone"}}])
-def test_a_damaged_origin_counts_by_its_path(transferred, tmp_path, compared, config):
-    shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
-    file = tmp_path / "all" / "seed-1" / "config.json"
+def test_a_damaged_origin_counts_by_its_path(copied, compared, config):
+    file = copied / "seed-1" / "config.json"
     record = json.loads(file.read_text())
     record["primitive"]["config"] = config
     file.write_text(json.dumps(record))
     with pytest.raises(ConfigError, match=r"differ in primitive\."):
-        compared(tmp_path / "all")
+        compared(copied)

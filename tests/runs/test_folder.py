@@ -5,7 +5,6 @@ import fcntl
 import json
 import os
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -33,7 +32,6 @@ def test_the_record_says_what_the_run_is_and_what_made_it(run_copy, monkeypatch)
     record = json.loads((run_copy / "config.json").read_text())
     assert record["config"]["networks"]["hidden"] == [4]
     assert record["versions"]["numpy"] == np.__version__
-    assert set(record["versions"]) == {"python", "shes", "mujoco", "numpy"}
     assert record["machine"]["processor"]
     assert record["machine"]["cores"] >= 1
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", record["started"])
@@ -45,7 +43,7 @@ def test_the_record_says_what_the_run_is_and_what_made_it(run_copy, monkeypatch)
     assert RunFolder.open(run_copy).read_config() == before.having(generations=6, keep_checkpoints=3)
 
 
-def test_a_new_folder_is_named_after_the_run_and_never_given_twice(monkeypatch, tmp_path):
+def test_a_new_folder_has_the_runs_name_and_is_never_given_twice(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     paths = [runs.train_tiny(None, minutes=1e-9) for _ in range(3)]
     assert all(re.fullmatch(r"runs/point-gather-smoke-seed5-\d{8}-\d{6}(-\d)?", str(path)) for path in paths)
@@ -74,10 +72,9 @@ def test_a_lock_that_is_held_for_a_moment_is_waited_for(run_copy, monkeypatch):
             assert run_state(RunFolder.open(run_copy)).state == "running"
 
 
-@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK])
-def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkeypatch, number):
+def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkeypatch):
     def no_locks(*_):
-        raise OSError(number, os.strerror(number))
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
     assert run_state(RunFolder.open(run_copy)).state == "finished"
@@ -88,16 +85,16 @@ def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkey
 
 
 @pytest.mark.parametrize("name", ["progress.csv", "evaluation.csv", "checkpoints/last.npz"])
-def test_parts_of_a_run_without_a_record_are_not_overwritten(tiny_run, tmp_path, name):
+def test_parts_of_a_run_without_a_record_are_not_overwritten(tmp_path, name):
     part = tmp_path / "run" / name
     part.parent.mkdir(parents=True)
-    shutil.copy(tiny_run / name, part)
+    part.write_text("mine")
     with pytest.raises(RunFolderError, match=rf"holds {name} but no config\.json: .*Choose another folder with --out"):
         runs.train_tiny(tmp_path / "run")
-    assert part.read_bytes() == (tiny_run / name).read_bytes()
+    assert part.read_text() == "mine"
 
 
-def test_a_run_may_begin_beside_other_files_and_where_one_was_stopped(tmp_path):
+def test_a_run_may_begin_where_other_files_or_a_stopped_one_are(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with RunFolder.create(tmp_path).lock():
         pass
@@ -117,8 +114,12 @@ def test_a_symbolic_link_to_the_run_folder_or_in_it_is_followed(tmp_path, run_co
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("[" * 100_000, "cannot be read"), ('{"format": 2, "config": []}', "is damaged: ")],
-    ids=["too deep", "a list"],
+    [
+        ("[" * 100_000, "cannot be read"),
+        ('{"format": 2, "config": []}', "is damaged: "),
+        ('{"format": 2, "config": {"run": 1}}', "is damaged: "),
+    ],
+    ids=["too deep", "a list", "a number"],
 )
 def test_a_record_that_no_run_writes_is_one_clear_error(run_copy, text, message):
     path = run_copy / "config.json"

@@ -56,10 +56,6 @@ class LevelTransfer(ABC):
         )
         return replace(state, levels=levels)
 
-    def is_egocentric(self, source: Any) -> bool:
-        """Return whether the level of a run with settings `source` sees the robot's state in its own frame."""
-        return False
-
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:

@@ -164,10 +164,6 @@ class PrimitiveTransfer(LevelTransfer):
             f"{task.action_size} controls of up to {task.control_limit:g}"
         )
 
-    def is_egocentric(self, source: Any) -> bool:
-        """Return whether the primitive sees the robot's state in its own frame."""
-        return PRIMITIVE_VIEWS.find(source.hierarchy.primitive_view).is_egocentric
-
 
 class ControllerTransfer(LevelTransfer):
     """The transfer of a controller."""

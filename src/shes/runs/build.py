@@ -115,9 +115,8 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers. "
                 f"Set --device, or omit --{name}."
             )
-    is_idle = {"backend": asked.get("backend", "serial") != "serial", "num_workers": asked.get("num_workers", 0) > 1}
-    for name, is_one in is_idle.items():
-        if device != "cpu" and is_one:
+    for name, usual in (("backend", ("serial",)), ("num_workers", (0, 1))):
+        if device != "cpu" and asked.get(name, usual[0]) not in usual:
             raise ConfigError(
                 f"{name} is {asked[name]!r}, but one process serves device {device}. "
                 f"Omit {config.setting(name).flag}, or set --device cpu."

@@ -103,10 +103,6 @@ def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: 
         if check is not None:
             check(arrays)
         best = Best(generation=own["best_generation"], score=own["best_score"], mean_return=own["best_return"])
-        if min(*(int(arrays[name].item()) for name in _OF_EVERY_ALGORITHM), best.generation + 1) < 0:
-            raise ValueError("a count is negative")
-        if not (best.score < np.inf and best.mean_return < np.inf):
-            raise ValueError("the best score or return is NaN or infinity")
         return Checkpoint(arrays=arrays, best=best, numbers=dict(json.loads(own["settings"])))
 
 

@@ -133,13 +133,13 @@ def compare_runs(
 def _repetitions(run: Path | str) -> list[RunFolder]:
     """Return the runs of one side; raise ConfigError if they differ in more than the seed, or two are the same."""
     folders = find_runs(run)
-    others = differing_settings([repeated_settings(folder) for folder in folders])
+    settings, seeds = zip(*map(settings_and_seeds, folders), strict=True)
+    others = differing_settings(settings)
     if others:
         raise ConfigError(
             f"the runs below {run} differ in {', '.join(others[:3])}. Give the folder of one group, such as "
             f"{folders[0].path.parent}."
         )
-    seeds = [seeds_of(folder) for folder in folders]
     if any(each in seeds[:number] for number, each in enumerate(seeds)):
         raise ConfigError(f"two runs below {run} have the same seed and settings: they are one run. Remove one.")
     return folders
@@ -189,19 +189,14 @@ def permutation_test(first: F64Array, second: F64Array) -> float:
 # path of such a run says nothing of what it is; its settings count instead, and its planned length.
 
 
-def repeated_settings(folder: RunFolder) -> dict[str, Any]:
-    """Return the settings that repetitions of a run have in common, by name, as JSON types.
+def settings_and_seeds(folder: RunFolder) -> tuple[dict[str, Any], dict[str, int]]:
+    """Return the settings that repetitions of a run have in common, and the seeds in which they differ, by name.
 
     Those of a run that trained the primitive are called `primitive's sigma`, and `primitive` is then `of ENV`.
     """
     traced = _traced(folder.read_config(), folder.read_record())
-    return {name: value for name, value in traced.items() if name.split()[-1] != "seed"}
-
-
-def seeds_of(folder: RunFolder) -> dict[str, int]:
-    """Return the seeds in which repetitions of a run differ: `seed`, and `primitive's seed` if that is known."""
-    traced = _traced(folder.read_config(), folder.read_record())
-    return {name: value for name, value in traced.items() if name.split()[-1] == "seed"}
+    seeds = {name: value for name, value in traced.items() if name.split()[-1] == "seed"}
+    return {name: value for name, value in traced.items() if name not in seeds}, seeds
 
 
 def differing_settings(settings: Sequence[Mapping[str, Any]]) -> list[str]:

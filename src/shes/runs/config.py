@@ -135,17 +135,7 @@ class TrainConfig:
     @classmethod
     def from_dict(cls, sections: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
         """Return the configuration from the result of `to_dict`. A missing setting has its default."""
-        values: dict[str, Any] = {}
-        for section, own in sections.items():
-            if not isinstance(own, Mapping):
-                raise ConfigError(f"{section!r} must be an object of settings, got {own!r}.")
-            for name, value in own.items():
-                if values.setdefault(name, value) != value:
-                    raise ConfigError(
-                        f"{name} is {values[name]!r} in one section and {value!r} in section {section!r}. "
-                        "It is one setting: give both the same value."
-                    )
-        return cls.of(**values)
+        return cls.of(**{name: value for own in sections.values() for name, value in own.items()})
 
     def having(self, **values: Any) -> TrainConfig:
         """Return a copy with other values of some settings."""
@@ -215,11 +205,10 @@ def algorithm_of(run: RunSettings) -> type[Algorithm[Any]]:
 
 def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
     """Return the settings classes of a run by section, in the order of the help."""
-    env = find_environment(run.env)
+    env, every = find_environment(run.env), _OF_EVERY_RUN
     body = {"body": env.body.Options} if isinstance(env, Environment) and env.body.Options is not Settings else {}
-    last = {name: _OF_EVERY_RUN[name] for name in ("episodes", "evaluation")}
-    own = algorithm_of(run).sections
-    return {"run": RunSettings, "workers": WorkerSettings, **own, "environment": env.task.Options, **body, **last}
+    own = {**algorithm_of(run).sections, "environment": env.task.Options, **body}
+    return {"run": every["run"], "workers": every["workers"], **own, **every}
 
 
 def settings_by_section(run: RunSettings) -> dict[str, dict[str, Setting]]:
@@ -271,10 +260,9 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
             continue
         everywhere = known_settings()
         if name not in everywhere:
-            close = difflib.get_close_matches(name, here, n=3)
+            close = difflib.get_close_matches(name, here, n=1)
             hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
-            similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
-            raise ConfigError(f"unknown setting {name!r}. {hint}{similar}")
+            raise ConfigError(f"unknown setting {name!r}. {hint}")
         raise ConfigError(
             f"{name} is not a setting of a run of {values['env']} with algorithm "
             f"{values.get('algorithm', RunSettings.algorithm)!r}, got {values[name]!r}. Omit {everywhere[name].flag}."

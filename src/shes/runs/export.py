@@ -138,16 +138,8 @@ def _pose(robot: Body, columns: list[int]) -> dict[str, Any] | None:
 
 def _frames(group: SymmetryGroup) -> dict[str, Any]:
     """Return the frames of a symmetry group, one for each of its elements."""
-    cosine, sine, mirror = group.direction()
-    tables = {
-        "cosine": cosine,
-        "sine": sine,
-        "mirror": mirror,
-        "view_index": group.view_index,
-        "view_sign": group.view_sign,
-        "control_index": group.control_index,
-        "control_sign": group.control_sign,
-    }
+    tables = dict(zip(("cosine", "sine", "mirror"), group.direction(), strict=True))
+    tables |= {name: getattr(group, name) for name in ("view_index", "view_sign", "control_index", "control_sign")}
     frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(group.num_elements)]
     return {"num_turns": group.num_turns, "is_mirrored": group.is_mirrored, "frames": frames}
 

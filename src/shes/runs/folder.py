@@ -193,14 +193,11 @@ class RunFolder:
                 f"the shipped agent {agent} has only the checkpoint best, got {name!r}. Omit --checkpoint."
             )
         checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
-        mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
+        mine = config.numbers()
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         theirs = {name: checkpoint.numbers.get(name, config.setting(name).default) for name in mine}
-        if others := [name for name in sorted(mine) if theirs[name] != mine[name]]:
-            shown = ", ".join(f"{name} is {theirs[name]!r}, not {mine[name]!r}" for name in others[:3])
-            raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
-        if seed != config.run.seed:
-            raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
+        if others := differing(theirs, mine):
+            raise CheckpointError(f"{path} is of another run: {others}. Put back the checkpoint of this run.")
         return replace(checkpoint, numbers=mine)
 
 
@@ -228,19 +225,10 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
     return path
 
 
-def check_folder_of_runs(path: Path) -> None:
-    """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
-    for place in (path, *path.parents):
-        if place.exists() and not place.is_dir():
-            raise RunFolderError(f"{place} is a file, not a folder. Choose another path with --out.")
-    if (path / "config.json").exists():
-        raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
-
-
 def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Return the first settings in which two runs differ, in words; empty if they are the same."""
     names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
-    return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
+    return ", ".join(f"{name} is {there.get(name)!r}, not {wanted.get(name)!r}" for name in names[:3])
 
 
 def _natural(path: Path) -> list[tuple[float, str]]:

@@ -75,7 +75,17 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     agents = {name: read_agent(name) for name in shipped_names()}
     parts: list[Table | str] = [f"There is no run below {folder}."]
     if runs:
-        parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
+        cells = [
+            (
+                run.run,
+                str(run.env or "-"),
+                " / ".join("-" if each is None else str(each) for each in (run.generation, run.generations)),
+                "-" if run.best_score is None else f"{run.best_score:.2f}",
+                run.state,
+            )
+            for run in runs
+        ]
+        parts = [Table(("run", "environment", "generation", "best score", "state"), cells)]
     parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
     if agents:
         rows = list[tuple[str, ...]]()
@@ -90,13 +100,6 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         ]
     shown = {name: agent.to_dict() for name, agent in agents.items()}
     return Listing({"runs": [asdict(run) for run in runs], "agents": shown}, parts)
-
-
-def _row(run: RunState) -> tuple[str, ...]:
-    """Return the cells of a run's row."""
-    done, total = ("-" if each is None else each for each in (run.generation, run.generations))
-    score = "-" if run.best_score is None else f"{run.best_score:.2f}"
-    return run.run, str(run.env or "-"), f"{done} / {total}", score, run.state
 
 
 def describe_run(run: Path | str, *, full: bool = False) -> Listing:

@@ -20,7 +20,7 @@ from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderErro
 from shes.es.noise import NoiseTable
 from shes.runs.build import build_algorithm, check_limits
 from shes.runs.config import TrainConfig, check_names, known_settings
-from shes.runs.folder import RunFolder, check_folder_of_runs, differing
+from shes.runs.folder import RunFolder, differing
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import ProgressDisplay
 from shes.runs.shipped import find_run
@@ -156,7 +156,7 @@ class RunsFolder:
     @classmethod
     def create(cls, path: Path, configs: Mapping[str, TrainConfig]) -> RunsFolder:
         """Return the folder at `path` with the runs of `configs`; if it has some of them already, it keeps these."""
-        check_folder_of_runs(path)
+        RunFolder(path).check_free()
         there = cls.open(path).configs if cls.is_at(path) else {}
         for name, config in configs.items():
             if name in there and (others := differing(there[name].numbers(), config.numbers())):

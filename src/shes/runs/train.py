@@ -32,7 +32,7 @@ from shes.runs.make_config import make_config
 from shes.runs.progress_display import with_display
 from shes.runs.recorder import AnyListener, Recorder, listener_methods, run_log
 from shes.runs.tables import read_csv, trained_minutes
-from shes.runs.transfer import check_robot, transfer
+from shes.runs.transfer import transfer
 from shes.types import F64Array, Listing
 
 
@@ -125,7 +125,6 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
     """Begin a run with the settings of `config`; see `train`."""
     listeners, place = listener_methods(listener), None if out is None else checked_out(out)
     check_device(config)
-    check_robot(config)
     algorithm = build_algorithm(config)
     check_limits(config, algorithm.design)
     algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder

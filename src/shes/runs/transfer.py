@@ -10,9 +10,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.contract import Algorithm, LevelTransfer
+from shes.envs.named_environments import Environment, find_environment
 from shes.errors import ConfigError
-from shes.runs.build import OpenedRun, build_task, open_run
-from shes.runs.config import RunSettings, TrainConfig, algorithm_of
+from shes.runs.build import OpenedRun, open_run
+from shes.runs.config import RunSettings, algorithm_of
 from shes.runs.named_algorithms import ALGORITHMS, algorithm_classes
 from shes.settings import flag
 
@@ -49,6 +50,12 @@ def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, 
     algorithm = algorithm_of(RunSettings.of(values))
     own = algorithm.transfers[level]
     source = _read(level, own, values).config
+    theirs, ours = (_robot(each) for each in (source.run.env, values["env"]))
+    if theirs != ours:
+        raise ConfigError(
+            f"the {level} of {values[level]} does not fit {values['env']}: it was trained on {source.run.env} for "
+            f"{theirs}, but {values['env']} has {ours}. Name a {level} of the same robot with --{level}, or omit it."
+        )
     brought = own.settings(source, algorithm.level_names)
     for name in sorted(brought.keys() & asked.keys()):
         if asked[name] != brought[name]:
@@ -59,30 +66,9 @@ def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, 
     return brought | {name: source.values[name] for name in own.suggested if name not in asked}
 
 
-def check_robot(config: TrainConfig) -> None:
-    """Raise ConfigError if the primitive that `config` names was trained with another robot."""
-    own, path = config.algorithm.transfers.get("primitive"), config.values.get("primitive")
-    if own is None or path is None:
-        return
-    source = _read("primitive", own, config.values).config
-    (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
-    # External robots can only be compared by their observation specs; but they have no egocentric view.
-    is_known = None not in (their_robot, our_robot) or own.is_egocentric(source)
-    if is_known and their_robot != our_robot:
-        raise ConfigError(
-            f"the primitive of {path} does not fit {config.run.env}: it was trained on {source.run.env} for "
-            f"{theirs}, but {config.run.env} has {ours}. Name a primitive of the same robot with --primitive, or "
-            "omit it."
-        )
-
-
-def _robot(config: TrainConfig) -> tuple[str | None, str]:
-    """Return the name of the robot of `config`, None for an external one, and its description."""
-    task = build_task(config, 1, is_evaluation=False)
-    task.close()
-    name = None if task.robot is None else task.robot.name
-    who = "an external robot" if name is None else f"the {name}"
-    return name, f"{who} with {task.action_size} controls of up to {task.control_limit:g}"
+def _robot(env: str) -> str:
+    found = find_environment(env)
+    return f"the {found.body.name}" if isinstance(found, Environment) else "an external robot"
 
 
 def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict[str, Any]]]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from shes.errors import ConfigError, ShesError
-from shes.runs.comparison import differing_settings, repeated_settings, seeds_of
+from shes.runs.comparison import differing_settings, settings_and_seeds
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.runs_folder import find_runs
@@ -103,7 +103,7 @@ def group_runs(runs: Sequence[RunData]) -> list[Group]:
     """
     found: list[list[RunData]] = []
     for members in _divided(runs, _design):
-        has_seed_twice = len(_divided(members, lambda run: seeds_of(run.folder))) < len(members)
+        has_seed_twice = len(_divided(members, lambda run: settings_and_seeds(run.folder)[1])) < len(members)
         found += [[run] for run in members] if has_seed_twice else [members]
     labels = _labels([members[0] for members in found])
     counts = [f" ({len(members)} runs)" if len(members) > 1 else "" for members in found]
@@ -120,7 +120,7 @@ def _divided(items: Sequence[_T], key: Callable[[_T], Any]) -> list[list[_T]]:
 
 def _design(run: RunData) -> dict[str, Any]:
     """Return the preset and the settings of a run that repetitions have in common."""
-    return {"preset": run.config.run.preset, **repeated_settings(run.folder)}
+    return {"preset": run.config.run.preset, **settings_and_seeds(run.folder)[0]}
 
 
 def _labels(firsts: Sequence[RunData]) -> list[str]:
