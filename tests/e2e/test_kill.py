@@ -9,7 +9,6 @@ import pytest
 
 import shes
 from tests.e2e import runs
-from tests.e2e.conftest import BRANCHED
 
 pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
 
@@ -30,12 +29,8 @@ def kill_main_inside(process, path, generation):
     return inside
 
 
-@pytest.mark.parametrize(
-    "settings", [pytest.param({}, id="episodes"), pytest.param(BRANCHED, id="branches", marks=pytest.mark.extras)]
-)
-def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed_with, settings):
-    undisturbed = undisturbed_with(**settings)
-    process, path = started(**settings)
+def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed):
+    process, path = started()
     inside = kill_main_inside(process, path, 3)
     assert runs.differences(undisturbed, path)  # something is left to do
     shes.resume(path)

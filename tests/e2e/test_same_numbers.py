@@ -69,17 +69,10 @@ BY_CHOICE = {
     if name not in NO_CHOICES | OF_THE_ANT and choice not in OF_GATHER
 }
 BY_HAND = {
-    "clock": {"clock_frequency": 1.5},
-    "clock, robot alone": {"clock_frequency": 0.7, "primitive_view": "proprioception"},
-    "goals anywhere": {"minimum_goal_distance": False},
     "layers of its own": {"primitive_hidden": (3, 5)},
-    "linear": {"hidden": ()},
     "some statistics": {"statistics_fraction": 0.4},
-    "three episodes": {"episodes_per_policy": 3},
-    "flat with clock": {"algorithm": "es", "clock_frequency": 1.5},
     "flat, schedules": {"algorithm": "es", **SCHEDULES},
     "frozen": {"primitive": SOURCE},
-    "frozen, not mirrored": {"primitive": SOURCE, "mirrored": "none"},
     "unfrozen": {"primitive": SOURCE, "freeze_primitive": False},
     "unfrozen by halves": {
         "primitive": SOURCE, "freeze_primitive": False, "perturbation": "one_to_many_halves", "optimizer": "sgd",
@@ -89,7 +82,6 @@ BY_HAND = {
         **BRANCHES, "primitive_population_size": 6, "primitive_sigma": 0.2, "primitive_learning_rate": 0.05,
         "intervals": 3, "episodes_per_policy": 3,
     },
-    "branches of one that is frozen": {"primitive": SOURCE, "primitive_estimate": "interval"},
     "branches of one that learns on": {
         "primitive": SOURCE, "primitive_estimate": "interval", "freeze_primitive": False, "controller_interval": 4,
     },
@@ -101,13 +93,11 @@ BY_HAND = {
         **SCHEDULES,
     },
 }  # fmt: skip
-DIHEDRAL = {**EGOCENTRIC, "symmetry": "dihedral"}
-WALKER = {**DIHEDRAL, **BRANCHES, "fall_price": 3.0, "horizon": 40, "output_weights": "zero"}
+WALKER = {**EGOCENTRIC, "symmetry": "dihedral", **BRANCHES, "fall_price": 3.0, "horizon": 40, "output_weights": "zero"}
 """A primitive of the ant on branches, with all that helps it learn."""
 BY_ENVIRONMENT = {
     "point-flagrun": {
         "alone": {},
-        "alone with clock": {"clock_frequency": 1.5, "goal_encoding": "vector"},
         "alone, schedules": {**SCHEDULES, "optimizer": "sgd"},
         "flat": {"algorithm": "es"},
     },
@@ -115,7 +105,7 @@ BY_ENVIRONMENT = {
         "alone": {}, "flat": {"algorithm": "es"}, "rotation": {**EGOCENTRIC, "symmetry": "rotation"}, "walker": WALKER,
     },
     "ant-maze": {
-        "everything": BY_HAND["everything"], "no symmetry": {**EGOCENTRIC, "symmetry": "none"}, "dihedral": DIHEDRAL,
+        "everything": BY_HAND["everything"],
         "walker": {**WALKER, "max_tilt": 20.0, "target": (0.0, 16.0), "waypoints": (8.0, 0.0)},
     },
     "ant-gather": {
