@@ -16,9 +16,6 @@ from tests.backends.clusters import add_node, ray_cluster
 from tests.backends.workers import Worker
 from tests.e2e import runs
 
-NAME = ("environment", "SHES_TEST_NODE")
-
-
 pytestmark = pytest.mark.timeout(600)  # the first test waits for the cluster
 
 
@@ -75,7 +72,7 @@ def test_without_ray_the_error_names_the_extra(monkeypatch):
 def test_every_cpu_of_every_node_has_a_worker(backend, tmp_path):
     assert backend.num_workers == 2
     assert len({pid for pid, _ in backend.map([("meet", tmp_path)] * 8)}) == 2
-    assert set(backend.map([NAME] * 40)) == {"0", "1"}
+    assert set(backend.map([("node", 0)] * 40)) == {("0", 100), ("1", 100)}
 
 
 class HeardError(Exception):

@@ -1,7 +1,5 @@
 """A user's environment in workers: a few instances, each closed in the end, and errors that name the line at fault."""
 
-import os
-import signal
 import sys
 import traceback
 
@@ -10,7 +8,6 @@ import pytest
 
 import shes
 from shes.errors import ConfigError
-from tests.e2e import runs
 
 MODULE = """
 import os
@@ -92,15 +89,3 @@ def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
     assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, backend="serial").generation == 2
     with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 0\.3 GB are free"):
         shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, backend="serial")
-
-
-@pytest.mark.extras
-def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})
-    process = runs.start("train", "gymnasium:User-v0", "--import", "users_module", *words)
-    runs.wait_for_generation(process, tmp_path / "run", 2)
-    process.send_signal(signal.SIGTERM)
-    assert runs.finish(process)[0] == 130
-    made, closed = diary()
-    assert len(closed) == len(made)
