@@ -168,6 +168,10 @@ class Alone(Algorithm):
 
     level_names: ClassVar = ("primitive",)
     sections: ClassVar = {"evolution": OwnSettings}
+
+    def __init__(self, problem):
+        super().__init__(problem, problem.flat_design(hidden=()))
+
     start = run = to_arrays = from_arrays = parameters = None
 
 
