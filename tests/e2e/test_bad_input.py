@@ -5,6 +5,7 @@ Values of settings are in runs/test_config.py, those of other arguments in cli/t
 
 import ctypes
 import errno
+import gc
 import json
 import os
 import re
@@ -199,7 +200,7 @@ def limited():
         # What cannot be written from which generation on, and the generation of the last checkpoint.
         ("checkpoints/last.npz", 2, 2),
         ("checkpoints/best.npz", 0, 0),
-        ("tensorboard", 2, 2),
+        pytest.param("tensorboard", 2, 2, marks=pytest.mark.filterwarnings("ignore::ResourceWarning")),
     ],
 )
 def test_a_file_that_is_cut_off_ends_a_run_and_loses_nothing(tmp_path, tiny_run, name, generation, latest):
@@ -214,6 +215,8 @@ def test_a_file_that_is_cut_off_ends_a_run_and_loses_nothing(tmp_path, tiny_run,
     with limited() as set_limit, pytest.raises(ShesError, match=message) as error:
         runs.train_tiny(path, listener=runs.AfterGeneration(generation, limit))
     assert error.value.exit_code == MENDABLE
+    del error
+    gc.collect()  # an event file that could not be closed
     assert not list(path.rglob("*.part"))
     for file in (path / "checkpoints").iterdir():
         load_checkpoint(file)

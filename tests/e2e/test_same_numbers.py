@@ -105,7 +105,7 @@ BY_ENVIRONMENT = {
         "alone": {}, "flat": {"algorithm": "es"}, "rotation": {**EGOCENTRIC, "symmetry": "rotation"}, "walker": WALKER,
     },
     "ant-maze": {
-        "everything": BY_HAND["everything"],
+        "everything": BY_HAND["everything"], "no symmetry": {**EGOCENTRIC, "symmetry": "none"},
         "walker": {**WALKER, "max_tilt": 20.0, "target": (0.0, 16.0), "waypoints": (8.0, 0.0)},
     },
     "ant-gather": {
