@@ -140,6 +140,24 @@ def test_workers_ignore_ctrl_c_from_their_first_moment():
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == mask
 
 
+def test_a_worker_stopped_at_work_is_ended_and_replaced(backend, tmp_path, monkeypatch):
+    marker, ticks = tmp_path / "marker", iter(range(10**6))
+
+    def clock():
+        """Stand still, but when all wait for the stopped worker alone."""
+        at_work = {worker.name for worker in backend.workers if not worker.is_idle}
+        clock.now_s = next(ticks) if marker.exists() and at_work == {marker.read_text()} else clock.now_s
+        return clock.now_s
+
+    clock.now_s = 0
+    monkeypatch.setattr(backend, "clock", clock)
+    monkeypatch.setattr(backend, "silence_limit_s", 0.2)
+    tasks = [("add", 1), ("stop_once", marker), *[("add", i) for i in range(2, 10)]]
+    assert list(backend.map(tasks)) == [101, 100, *range(102, 110)]
+    assert not psutil.pid_exists(int(marker.read_text()))
+    assert backend.told[-1].startswith(f"worker {marker.read_text()} was ended (no answer for ")
+
+
 def test_a_worker_stopped_between_maps_delays_nothing(backend, tmp_path):
     stopped = pids_of(backend)[0]
     os.kill(stopped, signal.SIGSTOP)

@@ -67,6 +67,13 @@ class Worker:
             time.sleep(0.01)
         return os.getpid(), self.state
 
+    def stop_once(self, marker):
+        """Write the number of this process and stop it (SIGSTOP) the first time; return the state the next time."""
+        if not Path(marker).exists():
+            Path(marker).write_text(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGSTOP)
+        return self.state
+
     def oversleep(self, folder):
         """Leave a file named after this process in `folder`, then take ten minutes, in which it notices nothing."""
         (Path(folder) / str(os.getpid())).touch()
