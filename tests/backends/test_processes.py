@@ -187,6 +187,7 @@ def test_workers_are_closed_before_they_end(tmp_path, moment):
             results = backend.map([("where", 0), *[("oversleep", folder)] * 3])
             next(results)
             runs.wait_until(lambda: list(folder.iterdir()), "one is at work")
+            os.kill(pids[0], signal.SIGSTOP)
         else:
             with pytest.raises(WorkerError, match="BrokenPipeError: of its own"):
                 list(backend.map([("closed_pipe", 0)]))

@@ -3,7 +3,6 @@
 import re
 import sys
 import types
-from concurrent.futures import Future
 from pathlib import Path
 from time import sleep
 
@@ -16,9 +15,6 @@ from shes.errors import ConfigError, MissingExtraError
 from tests.backends.clusters import add_node, ray_cluster
 from tests.backends.workers import Worker
 from tests.e2e import runs
-
-NAME = ("environment", "SHES_TEST_NODE")
-
 
 pytestmark = pytest.mark.timeout(600)  # the first test waits for the cluster
 
@@ -66,51 +62,6 @@ def test_an_address_where_nothing_answers_is_an_error(monkeypatch):
             RayBackend(Worker, 2)
 
 
-class BusyRay:
-    """Stands for Ray on a cluster whose only CPU is taken: an actor never starts."""
-
-    def remote(self, *_, **options):
-        return (lambda _: self) if options else self
-
-    def options(self, **_):
-        return self
-
-    def future(self):
-        return Future()
-
-    @property
-    def next_request(self):
-        return self
-
-    def is_initialized(self):
-        return True
-
-    def cluster_resources(self):
-        return {"CPU": 1.0}
-
-    def put(self, value):
-        return value
-
-    def kill(self, actor):
-        pass
-
-
-def test_a_cluster_without_a_free_cpu_is_told_of(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", BusyRay())
-
-    class HeardError(Exception):
-        pass
-
-    def hear(event):
-        raise HeardError(event)
-
-    monkeypatch.setattr("shes.backends.ray.REPORTED_S", 0.05)
-    with RayBackend(Worker, 1) as backend:
-        backend.on_event, backend.silence_limit_s = hear, 0.2  # a twentieth of a second between two looks
-        with pytest.raises(HeardError, match=r"no worker has started yet: every CPU of the Ray cluster is taken"):
-            list(backend.map([("add", 1)]))
-
-
 def test_without_ray_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r"--backend ray needs Ray .*pip install 'shes\[ray\]'"):
@@ -121,14 +72,30 @@ def test_without_ray_the_error_names_the_extra(monkeypatch):
 def test_every_cpu_of_every_node_has_a_worker(backend, tmp_path):
     assert backend.num_workers == 2
     assert len({pid for pid, _ in backend.map([("meet", tmp_path)] * 8)}) == 2
-    assert set(backend.map([NAME] * 40)) == {"0", "1"}
+    assert set(backend.map([("node", 0)] * 40)) == {("0", 100), ("1", 100)}
+
+
+class HeardError(Exception):
+    """Raised by who hears of an event."""
+
+
+@pytest.mark.extras
+def test_a_cluster_without_a_free_cpu_is_told_of(backend, monkeypatch):
+    def hear(event):
+        raise HeardError(event)
+
+    list(backend.map([("where", 0)] * 4))  # its workers have both CPUs
+    monkeypatch.setattr("shes.backends.ray.REPORTED_S", 0.05)
+    with RayBackend(Worker, 1) as second:
+        second.on_event, second.silence_limit_s = hear, 0.2  # a twentieth of a second between two looks
+        with pytest.raises(HeardError, match=r"no worker has started yet: every CPU of the Ray cluster is taken"):
+            list(second.map([("add", 1)]))
 
 
 @pytest.mark.extras
 def test_a_state_is_stored_once_for_all_workers(backend, monkeypatch):
     import ray
 
-    list(backend.map([("where", 0)]))  # the factory is stored
     stored, put = [], ray.put
     monkeypatch.setattr(ray, "put", lambda value: stored.append(value) or put(value))
     backend.broadcast(b"x" * 1_000_000)

@@ -14,7 +14,7 @@ class Scripted(RemoteWorker):
 
     def __init__(self, backend, name, at_once):
         super().__init__(str(name))
-        self.backend, self.at_once = backend, at_once
+        self.backend, self.at_once, self.least = backend, at_once, at_once
         self.is_gone = self.is_stopped = False
         self.due = []  # (time, request), which the worker sends then
         if name in backend.fail_at_start:
@@ -28,11 +28,12 @@ class Scripted(RemoteWorker):
     def answer(self, message, state=None):
         kind, *content = message
         if kind == "run":
-            self.send("want", [], self.at_once, self.at_once)
+            self.send("want", [], self.at_once, self.least)
         elif kind == "tasks":
             self.work(content[0])
 
     def work(self, numbered):
+        self.backend.given.append(len(numbered))
         for number, task in numbered:
             if task == "die" or (task == "die once" and number not in self.backend.tried):
                 self.is_gone = True
@@ -46,7 +47,7 @@ class Scripted(RemoteWorker):
             self.backend.tried.append(number)
             if self.is_gone:
                 return
-        self.send(*(("want", numbered, self.at_once, self.at_once) if numbered else ("ready", [])))
+        self.send(*(("want", numbered, self.at_once, self.least) if numbered else ("ready", [])))
 
     def requests(self):
         if self.is_gone:
@@ -67,7 +68,7 @@ class ScriptedBackend(SupervisingBackend):
         super().__init__(num_workers)
         self.at_once, self.fail_at_start = at_once, fail_at_start
         self.now_s, self.clock = 0.0, lambda: self.now_s
-        self.num_started, self.tried, self.told = 0, [], []
+        self.num_started, self.tried, self.given, self.told = 0, [], [], []
         self.on_event = self.told.append
         self.start_workers()
 
@@ -225,16 +226,10 @@ def test_no_more_workers_are_told_of_tasks_than_there_is_work_for():
 
 
 def test_near_the_end_each_worker_gets_fewer_tasks():
-    backend = ScriptedBackend(2)
-    (worker, _), sizes = backend.workers, []
-    work = worker.work
-    worker.work = lambda numbered: (sizes.append(len(numbered)), work(numbered))
-    backend.workers[1].is_stopped = True
-    worker.send = lambda *request, **when: Scripted.send(
-        worker, *(("want", request[1], 8, 2) if request[0] == "want" else request), **when
-    )
+    backend = ScriptedBackend(2, at_once=8)
+    backend.workers[0].least, backend.workers[1].is_stopped = 2, True
     run(backend, range(40))
-    assert sizes == [8, 8, 6, 5, 4, 3, 2, 2, 2, 0]
+    assert backend.given == [8, 8, 6, 5, 4, 3, 2, 2, 2, 0]
 
 
 @pytest.mark.parametrize("tasks", [[0, 1, 2, 3], [0, 1, 2, "die once"]])

@@ -5,20 +5,25 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Annotated, ClassVar
 
 import numpy as np
 import pytest
 
 import shes
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.algorithms.contract import Algorithm, Preset
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
+from shes.es.perturbation import MIRRORINGS, Mirroring
 from shes.evolution import way_search
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.checkpoint import restore
-from shes.runs.config import TrainConfig
+from shes.runs.config import TrainConfig, known_settings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.runs.tables import read_csv
-from shes.settings import Settings
+from shes.runs.transfer import transferred_levels
+from shes.settings import Ge, Settings
 from tests.e2e import runs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "random_search.py"
@@ -51,10 +56,11 @@ def registered(monkeypatch):
     """The example is known while a test of this module runs, in which searches have short slices."""
     monkeypatch.setattr(way_search, "SLICE_STEPS", 1)
     monkeypatch.setattr(way_search, "WALKERS", 16)
+    before = set(ALGORITHMS)
     runpy.run_path(str(EXAMPLE), run_name="random_search")
     yield
-    for name in ("random-search", "own"):
-        ALGORITHMS.pop(name, None)
+    for name in set(ALGORITHMS) - before:
+        del ALGORITHMS[name]
 
 
 def tiny(name):
@@ -137,24 +143,19 @@ def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
     assert np.isfinite(agent.act(np.zeros(agent.observation_size))).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "algorithm", "message"),
-    [
-        ("shes", "RandomSearch", "algorithm 'shes' is shes.evolution.strategies.SHES already"),
-        ("Random search", "RandomSearch", "algorithm name must be lower-case words"),
-        ("other", "State", "an? algorithm must be a subclass of shes.algorithms.contract.Algorithm"),
-    ],
-)
-def test_what_is_no_algorithm_is_refused(name, algorithm, message):
-    found = runpy.run_path(str(EXAMPLE), run_name="random_search")
-    with pytest.raises(ConfigError, match=message):
-        shes.register_algorithm(name, found[algorithm])
-    assert "other" not in ALGORITHMS
+# Everything above `algorithms` knows an algorithm by its contract alone.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Search(Settings):
-    tries: int = 1
+class OwnSettings(Settings):
+    """Own."""
+
+    few: Annotated[int, Ge(1)] = 5
+    """A number."""
+    many: Annotated[int, Ge(1)] = 10
+    """A larger number."""
+    primitive: float = 0.5
+    """No level."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,17 +163,65 @@ class Vague(Settings):
     tries: int
 
 
-def test_a_section_of_an_algorithm_has_a_name_of_its_own():
-    example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
-    for section in ("run", "body", "values"):
-        taken = type("Own", (example,), {"sections": {section: Search}})
-        with pytest.raises(
-            ConfigError, match=rf"Own has a section '{section}', a name that is taken\. Choose another name"
-        ):
-            shes.register_algorithm("own", taken)
-    with pytest.raises(ConfigError, match=r"option 'tries' of .*Vague has no default"):
-        shes.register_algorithm("own", type("Own", (example,), {"sections": {"search": Vague}}))
-    shes.register_algorithm("own", type("Own", (example,), {"sections": {"evolution": Search}}))
+class Alone(Algorithm):
+    """Stands in."""
+
+    level_names: ClassVar = ("primitive",)
+    sections: ClassVar = {"evolution": OwnSettings}
+
+    def __init__(self, problem):
+        super().__init__(problem, problem.flat_design(hidden=()))
+
+    start = run = to_arrays = from_arrays = parameters = None
+
+
+class Own(Alone):
+    """Learns in its own way. And this is not shown."""
+
+    level_names: ClassVar = ("policy",)
+    without_controller: ClassVar = Alone
+    presets: ClassVar = {
+        "smoke": Preset(values={"few": 1, "horizon": 7}, per_environment={"point-maze": {"many": 70}}),
+        "own-paper": Preset(values={"many": 99}),
+    }
+
+    @staticmethod
+    def check(settings):
+        if settings.evolution.few >= settings.evolution.many:
+            raise ConfigError("few must be less than many")
+
+    @staticmethod
+    def check_effects(settings, asked):
+        if "few" in asked and settings.evolution.many == 3:
+            raise ConfigError("few has no effect with many 3")
+
+
+def having(base=Alone, **attributes):
+    """Return an algorithm like `base` with other attributes."""
+    return type("Other", (base,), attributes)
+
+
+@pytest.fixture
+def own(registered):
+    shes.register_algorithm("own", Own)
+
+
+TAKEN = r"Other has a section '{}', a name that is taken\. Choose another name"
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "message"),
+    [
+        (OwnSettings, "an? algorithm must be a subclass of shes.algorithms.contract.Algorithm"),
+        *((having(sections={name: OwnSettings}), TAKEN.format(name)) for name in ("run", "body", "values")),
+        (having(Own, without_controller=having(sections={"run": OwnSettings})), TAKEN.format("run")),
+        (having(sections={"search": Vague}), "option 'tries' of .*Vague has no default"),
+    ],
+)
+def test_what_is_no_algorithm_is_refused(algorithm, message):
+    with pytest.raises(ConfigError, match=message):
+        shes.register_algorithm("other", algorithm)
+    assert "other" not in ALGORITHMS
 
 
 def test_the_taken_sections_are_those_of_every_run():
@@ -185,3 +234,78 @@ def test_an_unknown_algorithm_is_told_how_to_be_known():
     message = r"unknown algorithm 'random_serch'\. Did you mean 'random-search'.*shes\.register_algorithm"
     with pytest.raises(UnknownNameError, match=message):
         make_config("point-gather", "smoke", {"algorithm": "random_serch"})
+
+
+def test_its_check_is_that_of_a_configuration(own):
+    values = {"env": "point-gather", "algorithm": "own"}
+    for make in (lambda: TrainConfig.of(**values, few=10),
+                 lambda: TrainConfig.from_dict({"run": values, "evolution": {"few": 10}})):  # fmt: skip
+        with pytest.raises(ConfigError, match="few must be less than many"):
+            make()
+    assert TrainConfig.of(**values, few=9).evolution.few == 9
+    with pytest.raises(ConfigError, match="few has no effect with many 3"):
+        make_config("point-gather", "laptop", {"algorithm": "own", "few": 1, "many": 3})
+    assert make_config("point-gather", "smoke", {"algorithm": "own", "many": 3}).evolution.few == 1
+
+
+def test_it_brings_values_of_presets_and_presets_of_its_own():
+    with pytest.raises(UnknownNameError, match="unknown preset 'own-paper'"):
+        make_config("point-gather", "own-paper")
+    shes.register_algorithm("own", Own)
+    smoke = {env: make_config(env, "smoke", {"algorithm": "own"}) for env in ("point-gather", "point-maze")}
+    assert [(each.evolution.few, each.evolution.many) for each in smoke.values()] == [(1, 10), (1, 70)]
+    assert (smoke["point-maze"].episodes.horizon, smoke["point-maze"].run.generations) == (7, 3)
+    paper = make_config("point-gather", "own-paper")
+    assert (paper.run.algorithm, paper.evolution.many, paper.run.preset) == ("own", 99, "own-paper")
+    assert "own-paper" in known_settings()["preset"].choices
+    with pytest.raises(ConfigError, match="preset 'own-paper' is for algorithm own, got algorithm 'es'"):
+        make_config("point-gather", "own-paper", {"algorithm": "es"})
+    assert make_config("point-gather", "paper").evolution.population_size == 1000  # of others nothing changes
+
+
+def test_its_help_its_levels_and_its_generations_are_its_own(own):
+    text = known_settings()["algorithm"].text
+    assert "; own: Learns in its own way." in text
+    assert all(f"{name}: {cls.__doc__.partition('.')[0]}" in text for name, cls in ALGORITHMS.items())
+    assert set(transferred_levels()) == {"controller", "primitive"}
+    assert make_config("point-gather", "smoke", {"algorithm": "own", "primitive": 2}).evolution.primitive == 2.0
+    for name, steps in {"own": 7, "td3": 500, "es": 16 * 50}.items():
+        config = make_config("point-gather", "smoke", {"algorithm": name})
+        assert find_algorithm(name, sets_goals=False).steps_per_generation(config) == steps
+
+
+def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
+    """The class that stands in may be a subclass."""
+    assert [find_algorithm("own", sets_goals=sets_goals) for sets_goals in (False, True)] == [Own, Alone]
+    assert TrainConfig.of(env="point-flagrun", algorithm="own").level_names == ("primitive",)
+    with pytest.raises(ConfigError, match=r"hiro has nothing to learn\. Set --algorithm to shes, .*own"):
+        TrainConfig.of(env="point-flagrun", algorithm="hiro")
+    whole = having(Own)
+    whole.without_controller = having(whole, level_names=("primitive",))
+    shes.register_algorithm("whole", whole)
+    assert TrainConfig.of(env="point-flagrun", algorithm="whole").level_names == ("primitive",)
+
+
+class Threefold(Mirroring):
+    """Three members."""
+
+    def rows(self, num_levels):
+        return [(1,) * num_levels] * 3
+
+
+class First(ViewChoice):
+    """The first value."""
+
+    def of(self, task):
+        return ColumnsView((0,))
+
+
+def test_mirrorings_and_views_can_be_registered(monkeypatch):
+    monkeypatch.setitem(MIRRORINGS, "threefold", Threefold)
+    monkeypatch.setitem(PRIMITIVE_VIEWS, "first", First)
+    monkeypatch.setitem(CONTROLLER_VIEWS, "first", First)
+    asked = {"mirrored": "threefold", "population_size": 6, "primitive_view": "first", "controller_view": "first"}
+    built = build_algorithm(make_config("point-gather", "smoke", {**asked, "hidden": ()}))
+    assert built.hyperparameters.signs(0).tolist() == [[[1, 1]] * 3] * 2
+    assert [policy.sizes[0] for policy in built.design.policies] == [1, 3 + 1]
+    assert "threefold: Three members" in known_settings()["mirrored"].text

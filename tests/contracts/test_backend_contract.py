@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from shes.backends.backend import SerialBackend
 from shes.backends.named_backends import BACKENDS
-from shes.errors import ConfigError, WorkerError
+from shes.errors import WorkerError
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
 from shes.settings import Execution, Settings, setting_fields
@@ -46,23 +46,12 @@ class Loud(SerialBackend):
         self.loudness = loudness
 
 
-@pytest.fixture
-def loud():
-    """A registered backend with an option."""
-    BACKENDS.register("loud", Loud)
-    yield
-    del BACKENDS["loud"]
-
-
-def test_options_are_keyword_arguments_and_change_no_number(loud):
+def test_options_are_keyword_arguments_and_change_no_number(monkeypatch):
+    monkeypatch.setitem(BACKENDS, "loud", Loud)
     assert all(each.has(Execution) for cls in BACKENDS.values() for each in setting_fields(cls.Options).values())
     config = make_config("point-gather", "smoke", {"backend": "loud", "loudness": 0.75})
     with build_backend(config, build_algorithm(config).plan()) as backend:
         assert backend.loudness == 0.75
-    deaf = type("Deaf", (SerialBackend,), {"Options": Loudness})
-    message = r"backend .*Deaf cannot be constructed with 2 arguments and loudness: got an unexpected keyword argument"
-    with pytest.raises(ConfigError, match=message):
-        BACKENDS.register("deaf", deaf)
 
 
 @pytest.fixture(scope="module")
@@ -139,14 +128,10 @@ def test_an_error_of_shes_arrives_with_the_line_at_fault(backend):
         assert "raise ERRORS[name]" in "".join(traceback.format_exception(raised.value))
 
 
-def test_any_other_error_is_a_worker_error_with_its_traceback(backend):
-    with pytest.raises(WorkerError, match=r'(?s)worker failed.*workers\.py", line \d+, in doubt.*AssertionError'):
-        list(backend.map([("add", 1), ("doubt", 0)]))
-
-
 def test_a_backend_works_again_after_an_error_and_a_break(backend):
-    with pytest.raises(WorkerError):
-        list(backend.map([("doubt", 0)] * 4))
+    message = r'(?s)worker failed.*workers\.py", line \d+, in doubt.*AssertionError'
+    with pytest.raises(WorkerError, match=message):
+        list(backend.map([("add", 1), ("doubt", 0)]))
     backend.broadcast(6)
     results = backend.map([("where", 0.01)] * 20)
     next(results)

@@ -34,17 +34,13 @@ def test_gymnasiums_checker_warns_of_unbounded_spaces_alone(variant):
 def test_spaces_are_those_of_the_task(variant):
     env, task = variant.make_env(), variant.make_task(1)
     assert env.observation_space.shape == (task.observation_size,)
-    assert env.observation_space.dtype == np.float64
     assert env.action_space == gymnasium.spaces.Box(-1, 1, (task.action_size,), np.float32)
-    env.reset(seed=3)
-    for action in draw_actions(env, 20):  # checked by Gymnasium's passive checker; warnings are errors
-        assert env.step(action)[0] in env.observation_space
     assert env.spec.max_episode_steps == MAX_EPISODE_STEPS == 500
     assert len({element.name for element in task.observation_spec}) == task.observation_size
 
 
 def test_an_episode_is_the_tasks_with_that_seed(variant):
-    env, task = variant.make_env(), variant.make_task(1)
+    env, task = variant.make_env(), variant.make_task(1)  # env is checked by Gymnasium: warnings are errors
     task.reset(np.array([0]), [17])
     observation, info = env.reset(seed=17)
     total = 0.0
@@ -133,17 +129,10 @@ def test_what_is_returned_does_not_change_later(variant):
         np.testing.assert_array_equal(left, right)
 
 
-def test_options_reach_the_task(variant):
+def test_options_reach_the_task_and_divergence_ends_its_episode(variant):
     env = variant.make_env(reset_noise=0.0, integrator="rk4").unwrapped
     env.reset(seed=0)
-    task = env.task
-    np.testing.assert_array_equal(task.sim.qpos[0], task.sim.model.qpos0)
-    assert task.options == variant.options(reset_noise=0.0, integrator="rk4")
-
-
-def test_a_diverged_simulation_ends_its_episode(variant):
-    env = variant.make_env().unwrapped
-    env.reset(seed=0)
+    assert env.task.options == variant.options(reset_noise=0.0, integrator="rk4")
     env.task.sim.qvel[0, 0] = 1e12
     _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
     assert (reward, terminated, info["diverged"], info["score"], info["success"]) == (0, True, True, 0, False)

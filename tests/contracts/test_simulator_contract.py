@@ -63,16 +63,6 @@ def test_what_is_written_is_the_state_at_the_next_step(make):
     assert (simulator.qpos is qpos, simulator.qvel is qvel) == (True, True)  # they are live
 
 
-@pytest.mark.parametrize("ids", [[], [0], [4], [1, 3], [0, 1, 2, 3, 4]])
-def test_simulations_that_are_not_stepped_do_not_move(make, ids):
-    simulator = make()
-    kick(simulator)
-    before = state(simulator)
-    simulator.step(np.array(ids, dtype=np.int64), 5)
-    has_moved = (state(simulator) != before).any(axis=1)
-    assert_array_equal(has_moved, np.isin(ALL, ids))
-
-
 def test_a_simulation_depends_neither_on_others_nor_on_calls(make):
     together, apart, one = make(), make(), make(1)
     for simulator in (together, apart):
@@ -202,11 +192,3 @@ def test_a_simulation_put_into_a_state_is_no_longer_diverged(moving):
         assert_array_equal(host(moving.diverged), ALL == 3)
         moving.set_states(np.array([3]), states)
         assert not host(moving.diverged).any()
-
-
-def test_the_solvers_warm_start_is_part_of_a_state(make, moving):
-    """Continuing from poses, velocities and controls alone is not bit-identical."""
-    cold = make()
-    for name in ("qpos", "qvel"):
-        getattr(cold, name)[:] = cold.xp.asarray(host(getattr(moving, name)))
-    assert (go_on(cold, ALL, steps=3) != go_on(moving, ALL, steps=3)).any()

@@ -2,67 +2,30 @@
 
 import os
 import signal
-from functools import cache
 
 import pytest
 
 from tests.e2e import runs
 
-KILLED = {
-    "preset": "smoke",
-    "seed": 3,
-    "num_workers": 2,
-    "population_size": 32,
-    "hidden": (8,),
-    "horizon": 200,
-    "evaluation_horizon": 100,
-    "generations": 4,
-    "evaluation_interval": 2,
-    "evaluation_episodes": 4,
-    "keep_checkpoints": 2,
-    "noise_table_size": 1_000_000,
-}
+KILLED = {"population_size": 32, "hidden": (8,), "horizon": 200, "evaluation_horizon": 100}
 """Settings of the runs that are killed: a generation takes long enough to be hit."""
 
-BRANCHED = {
-    "population_size": 4,
-    "horizon": 25,
-    "primitive_view": "egocentric",
-    "primitive_estimate": "interval",
-    "primitive_population_size": 300,
-}
-"""What makes nearly all of a generation branches beside a controller: whole episodes are few and short."""
-
 
 @pytest.fixture(scope="session")
-def undisturbed_with(tmp_path_factory):
-    """Return a function that returns the folder of a run of `started` that nothing happened to. Not to be changed."""
-
-    @cache
-    def run(**settings):
-        path = tmp_path_factory.mktemp("undisturbed") / "run"
-        return runs.train_tiny(path, **{**KILLED, "backend": "serial", **settings})
-
-    return run
-
-
-@pytest.fixture(scope="session")
-def undisturbed(undisturbed_with):
-    """Folder of such a run with no more settings."""
-    return undisturbed_with()
+def undisturbed(tmp_path_factory):
+    """Folder of such a run that nothing happened to. Not to be changed."""
+    return runs.train_tiny(tmp_path_factory.mktemp("undisturbed") / "run", **KILLED)
 
 
 @pytest.fixture
 def started(tmp_path):
-    """Return a function that starts such a run with more settings and returns its process and folder.
-
-    Whatever happens, nothing of it is left after the test.
-    """
+    """Return a function that starts such a run and returns its process and folder; nothing is left after the test."""
     processes = []
 
-    def begin(**settings):
+    def begin(num_workers=2):
         path = tmp_path / f"run{len(processes)}"
-        process = runs.start("train", "point-gather", *runs.flags(**{**KILLED, **settings}, out=path))
+        settings = {**runs.TINY, **KILLED, "backend": "processes", "num_workers": num_workers, "out": path}
+        process = runs.start("train", "point-gather", *runs.flags(**settings))
         processes.append(process)
         return process, path
 

@@ -102,16 +102,11 @@ def numbers(path):
 
 def differences(first, second):
     """Return the names of the numbers that are not bit-identical in two run folders."""
-    one, other = numbers(first), numbers(second)
-    return sorted(
-        name
-        for name in one.keys() | other.keys()
-        if name not in one
-        or name not in other
-        or one[name].dtype != other[name].dtype
-        or one[name].shape != other[name].shape
-        or one[name].tobytes() != other[name].tobytes()
+    one, other = (
+        {name: (array.dtype, array.shape, array.tobytes()) for name, array in numbers(path).items()}
+        for path in (first, second)
     )
+    return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
 
 
 # Runs in processes of their own.

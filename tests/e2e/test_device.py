@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.cli.bench import bench_rollout
 from shes.runs.folder import RunFolder
-from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.sim.warp_device import load_warp
 from tests.e2e import runs
@@ -67,16 +65,6 @@ def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp
     assert RunFolder.open(path).load("last").generation == 5
 
 
-def test_a_policy_is_worth_the_same_on_both(walked):
-    """Short episodes, so that float32 has not yet led them apart."""
-    on_device, on_cpu = (
-        shes.evaluate(walked, episodes=4, checkpoint="last", num_workers=1, device=device)
-        for device in ("warp-cpu", "cpu")
-    )
-    np.testing.assert_allclose(on_device.primitive_returns, on_cpu.primitive_returns, atol=0.05)
-    np.testing.assert_array_equal(on_device.steps, on_cpu.steps)
-
-
 def test_a_buffer_that_overflows_ends_the_run_which_goes_on_with_the_size_that_the_error_names(walked, tmp_path):
     path = shutil.copytree(walked, tmp_path / "run")
     code, out, err = runs.run("resume", path, "--generations", 3, "--nconmax", 1)
@@ -88,13 +76,6 @@ def test_a_buffer_that_overflows_ends_the_run_which_goes_on_with_the_size_that_t
     code, out, err = runs.run("resume", path, name, size.rstrip("."))
     assert (code, err) == (0, ""), out
     assert RunFolder.open(path).load("last").generation == 3
-
-
-def test_the_rollout_bench_compares_a_device_with_bare_physics_on_a_core():
-    config = make_config("ant-gather", "smoke", {"population_size": 8, "horizon": 10, "device": "warp-cpu"})
-    found = bench_rollout(config, repeats=1, replay_s=0.02)
-    assert (found["device"], found["num_workers"]) == ("warp-cpu", 1)
-    assert found["env_steps_per_s"] > 0
 
 
 def test_cuda_where_there_is_no_card_is_one_line_and_no_folder(tmp_path):

@@ -83,17 +83,13 @@ def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pa
 # In this process: a signal at an exact place.
 
 
-INTERRUPTER = runs.AfterGeneration(2, lambda: signal.raise_signal(signal.SIGINT))
-
-
-def interrupted(path, **settings):
-    """Train until the interruption that a test has prepared."""
-    with pytest.raises(KeyboardInterrupt):
-        runs.train_tiny(path, **settings)
-
-
 def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):
-    interrupted(tmp_path / "run", listener=INTERRUPTER)
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(KeyboardInterrupt):
+        runs.train_tiny(tmp_path / "run", listener=runs.AfterGeneration(2, lambda: signal.raise_signal(signal.SIGINT)))
+    with pytest.raises(ShesError, match="already holds a run"):
+        runs.train_tiny(tmp_path / "run")
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []
@@ -108,17 +104,10 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
 
     sent, original = [], recorder.save_checkpoint
     monkeypatch.setattr(recorder, "save_checkpoint", save)
-    interrupted(tmp_path / "run", generations=1000)
+    with pytest.raises(KeyboardInterrupt):
+        runs.train_tiny(tmp_path / "run", generations=1000)
     done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
     assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])
     monkeypatch.undo()
     resume(tmp_path / "run", generations=done + 1)
     assert runs.differences(runs.train_tiny(tmp_path / "whole", generations=done + 1), tmp_path / "run") == []
-
-
-def test_training_gives_the_signal_handlers_back(tmp_path):
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    interrupted(tmp_path / "run", listener=INTERRUPTER)
-    with pytest.raises(ShesError, match="already holds a run"):
-        runs.train_tiny(tmp_path / "run")
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before

@@ -9,15 +9,8 @@ import pytest
 
 import shes
 from tests.e2e import runs
-from tests.e2e.conftest import BRANCHED
 
 pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
-
-
-@pytest.fixture
-def imports_no_glfw(monkeypatch):
-    """A worker killed while it imports glfw leaves a process behind that says so of its closed pipe on stderr."""
-    monkeypatch.setenv("MUJOCO_GL", "off")
 
 
 def kill(pid):
@@ -36,63 +29,12 @@ def kill_main_inside(process, path, generation):
     return inside
 
 
-def kill_worker_inside(process, path, generation, *, stops_others=False):
-    """Kill a worker inside `generation` or a later one; return it, the other workers and the generation.
-
-    If the others are stopped, the run cannot end before they go on.
-    """
-    inside = runs.stop_inside_generation(process, path, generation)
-    worker, *others = runs.workers_of(process.pid)
-    kill(worker)
-    for pid in others if stops_others else ():
-        os.kill(pid, signal.SIGSTOP)
-    os.kill(process.pid, signal.SIGCONT)
-    return worker, others, inside
-
-
-def losses(path):
-    """Return (worker, generation, tasks) of every loss in the log; the generation is None between generations."""
-    found, inside = [], None
-    for line in runs.log_lines(path):
-        if begun := re.fullmatch(r"generation (\d+) begins", line):
-            inside = int(begun[1])
-        elif re.fullmatch(r"generation \d+ ends", line):
-            inside = None
-        elif lost := re.fullmatch(r"worker (\d+) died \(killed by SIGKILL\); (\d+) tasks are done again", line):
-            found.append((int(lost[1]), inside, int(lost[2])))
-    return found
-
-
-@pytest.mark.parametrize(
-    "settings", [pytest.param({}, id="episodes"), pytest.param(BRANCHED, id="branches", marks=pytest.mark.extras)]
-)
-def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed_with, settings):
-    undisturbed = undisturbed_with(**settings)
-    process, path = started(**settings)
+def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed):
+    process, path = started()
     inside = kill_main_inside(process, path, 3)
     assert runs.differences(undisturbed, path)  # something is left to do
     shes.resume(path)
     assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)[1:]
-    assert runs.differences(undisturbed, path) == []
-
-
-@pytest.mark.usefixtures("imports_no_glfw")
-def test_a_worker_killed_inside_a_generation_changes_no_number(started, undisturbed):
-    process, path = started()
-    worker, others, inside = kill_worker_inside(process, path, 2, stops_others=True)
-    workers = runs.wait_until(
-        lambda: len(found := set(runs.workers_of(process.pid)) - {worker}) == 2 and found, "there are two workers again"
-    )
-    assert worker not in [child.pid for child in psutil.Process(process.pid).children()]  # not even as a zombie
-    for pid in others:
-        os.kill(pid, signal.SIGCONT)
-    code, out, err = runs.finish(process)
-    assert (code, err) == (0, ""), out
-    runs.assert_gone(process.pid, workers)
-    ((lost, generation, tasks),) = losses(path)
-    # A worker that had just finished its share is missed in the next generation.
-    assert (lost, generation - inside) in {(worker, 0), (worker, 1)}
-    assert f"worker {worker} died (killed by SIGKILL); {tasks} tasks are done again" in out  # and it is said
     assert runs.differences(undisturbed, path) == []
 
 
@@ -125,28 +67,43 @@ def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undistur
     assert runs.differences(undisturbed, path) == []
 
 
-@pytest.mark.extras
-@pytest.mark.usefixtures("imports_no_glfw")
-def test_workers_killed_in_every_generation_change_no_number(started, undisturbed):
+@pytest.mark.parametrize(
+    "generations", [(2,), pytest.param((1, 1, 2, 2, 3, 3, 4, 4), marks=pytest.mark.extras)], ids=["once", "often"]
+)
+def test_workers_killed_inside_generations_change_no_number(started, undisturbed, monkeypatch, generations):
+    # A worker killed while it imports glfw leaves a process behind that says so of its closed pipe on stderr.
+    monkeypatch.setenv("MUJOCO_GL", "off")
     process, path = started()
-    killed, generations = [], set()
-    for generation in (1, 1, 2, 2, 3, 3, 4, 4):
+    killed = []
+    for generation in generations:
         try:
-            worker, others, inside = kill_worker_inside(process, path, generation, stops_others=True)
+            runs.stop_inside_generation(process, path, generation)
         except runs.EndedTooSoonError:
-            assert len(killed) >= 4
-            assert len(generations) >= 2
             break
+        worker, *others = runs.workers_of(process.pid)
+        kill(worker)
+        for pid in others:  # so that the run cannot end before they go on
+            os.kill(pid, signal.SIGSTOP)
+        os.kill(process.pid, signal.SIGCONT)
         killed.append(worker)
-        generations.add(inside)
-        runs.wait_until(lambda worker=worker: not runs.is_alive(worker), "it is gone")
-        runs.wait_until(lambda: len(runs.workers_of(process.pid)) == 2, "replaced")
+        workers = runs.wait_until(lambda: two_but(killed, process.pid), "there are two workers again")
+        assert worker not in [child.pid for child in psutil.Process(process.pid).children()]  # not even as a zombie
         for pid in others:
             os.kill(pid, signal.SIGCONT)
+    assert len(killed) >= len(generations) / 2
     code, out, err = runs.finish(process)
     assert (code, err) == (0, ""), out
-    found = losses(path)
-    assert [worker for worker, _, _ in found] == killed
+    runs.assert_gone(process.pid, workers)
+    lost = re.compile(r"worker (\d+) died \(killed by SIGKILL\); (\d+) tasks are done again")
+    found = [match.groups() for match in map(lost.fullmatch, runs.log_lines(path)) if match]
+    assert [int(worker) for worker, _ in found] == killed
     # A worker that still starts, or has just finished its share, has no task to lose.
-    assert any(tasks > 0 for _, _, tasks in found)
+    assert len(generations) == 1 or any(tasks != "0" for _, tasks in found)
+    assert len(lost.findall(out)) == len(killed)  # and it is said
     assert runs.differences(undisturbed, path) == []
+
+
+def two_but(killed, main_pid):
+    """Return the workers of a run if there are two besides those that were killed."""
+    found = set(runs.workers_of(main_pid)) - set(killed)
+    return found if len(found) == 2 else None

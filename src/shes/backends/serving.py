@@ -63,15 +63,11 @@ class ParentConnection(ABC):
         """Ignore the parent from now on: the worker is about to end."""
 
 
-def use_one_thread() -> None:
-    """Limit linear algebra in this process to one thread: libraries that are loaded already, and those that will be."""
-    assert np  # loaded, with its BLAS
-    os.environ.update(ONE_THREAD)
-    threadpool_limits(1)
-
-
 def serve(parent: ParentConnection, factory: bytes, clock: Callable[[], float] = monotonic) -> None:
     """Make the worker by the pickled `factory`, do the parent's tasks until it closes the connection, and close it."""
+    assert np  # loaded, with its BLAS
+    threadpool_limits(1)
+    os.environ.update(ONE_THREAD)  # for the libraries that will be loaded
     worker: Worker | None = None
     try:
         worker = _unpickle_factory(factory)()
