@@ -152,11 +152,11 @@ def walking(monkeypatch):
 def vectors(monkeypatch):
     """Return the list of vectors to the goals [K, 2] of all decisions."""
 
-    def act(agent, observation, position, heading, **noise):
+    def act(agent, inputs):
         is_due = np.repeat(agent.clock % agent.design.controller_interval == 0, agent.rows_per_lane)
-        controls = original(agent, observation, position, heading, **noise)
+        controls = original(agent, inputs)
         if is_due.any():
-            found.append((agent.goal - position)[is_due])
+            found.append((agent.goal - inputs.position)[is_due])
         return controls
 
     original, found = GoalAgent.act, []
