@@ -13,11 +13,9 @@ from shes.types import F64Array
 class Metres(PrimitiveReward):
     """Distance covered in the direction of the goal since it was set, in metres."""
 
-    def __call__(
-        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
-        """Return `displacement` [N, 2] projected on the direction of `goal` [N, 2], in metres [N]."""
-        return (displacement * goal).sum(axis=1) / np.linalg.norm(goal, axis=1)
+    def __call__(self, distance: F64Array, start_distance: F64Array, moved: F64Array, goal: F64Array) -> F64Array:
+        """Return `moved` [N, 2] projected on the direction of `goal` [N, 2], in metres [N]."""
+        return (moved * goal).sum(axis=1) / np.linalg.norm(goal, axis=1)
 
 
 def main() -> None:

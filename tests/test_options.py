@@ -150,7 +150,7 @@ class Power(PrimitiveReward, Settings):
     exponent: Annotated[float, Ge(0)] = 2.0
     """The power."""
 
-    def __call__(self, distance, start_distance, displacement, goal):
+    def __call__(self, distance, start_distance, moved, goal):
         """Return the rewards [N]."""
         return -(distance**self.exponent)
 

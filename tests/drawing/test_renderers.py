@@ -9,7 +9,7 @@ import pytest
 
 from shes.drawing.make_drawer import find_opengl, make_drawer
 from shes.drawing.renderer import between, extent_of, outlines
-from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
+from shes.envs.markers import FOOD, GOAL, ROBOT, Marker
 from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.errors import ConfigError
 
@@ -66,9 +66,9 @@ def test_every_environment_is_drawn_with_its_robot(make, name):
 def test_markers_lie_where_they_are_said_to(make):
     task, drawer = make()
     markers = [
-        ball((5, 4, 0.4), 0.4, FOOD),
-        disc((-6, 2, 0.1), 0.5, GOAL),
-        line((-8, -8, 0.1), (-2, -8, 0.1), 0.1, (*GOAL[:3], 1.0)),
+        Marker("ball", (5, 4, 0.4), 0.4, FOOD),
+        Marker("disc", (-6, 2, 0.1), 0.5, GOAL),
+        Marker("line", (-8, -8, 0.1), 0.1, (*GOAL[:3], 1.0), (-2, -8, 0.1)),
     ]
     bare, picture, again = (drawer.draw(task.sim.qpos[0], each, "top") for each in ((), markers, ()))
     np.testing.assert_array_equal(bare, again)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from shes.drawing.window import Viewer, open_window
-from shes.envs.markers import FOOD, ball
+from shes.envs.markers import FOOD, Marker
 from shes.envs.named_environments import make_task
 from shes.errors import ConfigError
 
@@ -50,7 +50,7 @@ def opened(monkeypatch):
 
 def test_a_step_is_shown_as_a_smooth_movement_with_markers(opened):
     viewer, window, pose = opened
-    viewer.show(pose, [ball((1, 1, 1), 0.4, FOOD)])
+    viewer.show(pose, [Marker("ball", (1, 1, 1), 0.4, FOOD)])
     viewer.show(pose + 3, [])
     moved = [shown - pose for shown in window.poses]
     np.testing.assert_allclose(moved, np.outer([0, 0, 0, 1, 2, 3], [1, 1]), atol=1e-9)

@@ -73,7 +73,7 @@ class Corner(Task):
 class Nearness(PrimitiveReward):
     """Minus the distance to the goal, in half metres."""
 
-    def __call__(self, distance, start_distance, displacement, goal):
+    def __call__(self, distance, start_distance, moved, goal):
         return -2 * distance
 
 

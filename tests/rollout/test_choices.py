@@ -127,7 +127,7 @@ class Sideways(Polar):
 
 
 class Column(Nearness):
-    def __call__(self, distance, start_distance, displacement, goal):
+    def __call__(self, distance, start_distance, moved, goal):
         return distance[:, None]
 
 

@@ -28,15 +28,13 @@ class PrimitiveReward(ABC):
     """Whether `start_distance` is the distance before the step, instead of that when the goal was set."""
 
     @abstractmethod
-    def __call__(
-        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
+    def __call__(self, distance: F64Array, start_distance: F64Array, moved: F64Array, goal: F64Array) -> F64Array:
         """Return the reward [N] of a step.
 
         Args:
             distance: From the robot to the goal after the step [N], in metres.
             start_distance: From the robot to the goal when the goal was set [N], in metres; see `starts_with_step`.
-            displacement: Movement of the robot since the goal was set [N, 2], in metres.
+            moved: Movement of the robot since the goal was set [N, 2], in metres.
             goal: Goal relative to the robot's position when it was set [N, 2], in metres.
         """
 
@@ -53,9 +51,7 @@ class PrimitiveReward(ABC):
 class ProgressReward(PrimitiveReward):
     """Fraction of the distance covered, `1 - d_t / d_c`, plus 1 within 1 m of the goal. Source: paper, equation 1."""
 
-    def __call__(
-        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
+    def __call__(self, distance: F64Array, start_distance: F64Array, moved: F64Array, goal: F64Array) -> F64Array:
         """Return the covered fraction plus the bonus at the goal [N]."""
         return 1 - distance / start_distance + (distance < REACHED_M)
 
@@ -71,9 +67,7 @@ class MetresReward(PrimitiveReward):
 
     starts_with_step = True
 
-    def __call__(
-        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
+    def __call__(self, distance: F64Array, start_distance: F64Array, moved: F64Array, goal: F64Array) -> F64Array:
         """Return the reward [N] of a step that began at `start_distance`."""
         return METRE_REWARD * (start_distance - distance) + NEAR_REWARD * (distance < REACHED_M).astype(np.float64)
 
@@ -87,9 +81,7 @@ class NegativeDistanceReward(PrimitiveReward):
     Deviation: HIRO's goal is a state and its distance that between states. Here the goal is a point on the floor.
     """
 
-    def __call__(
-        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
+    def __call__(self, distance: F64Array, start_distance: F64Array, moved: F64Array, goal: F64Array) -> F64Array:
         """Return minus the distance [N] in metres."""
         return -distance
 
@@ -104,12 +96,10 @@ class CosineReward(PrimitiveReward):
     Here a goal is held for c steps and lies on the floor.
     """
 
-    def __call__(
-        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
-    ) -> F64Array:
+    def __call__(self, distance: F64Array, start_distance: F64Array, moved: F64Array, goal: F64Array) -> F64Array:
         """Return the cosine [N]."""
-        moved, way = _direction(displacement), _direction(goal)
-        cosine = moved[:, 0] * way[:, 0] + moved[:, 1] * way[:, 1]
+        own, way = _direction(moved), _direction(goal)
+        cosine = own[:, 0] * way[:, 0] + own[:, 1] * way[:, 1]
         return np.clip(cosine, -1, 1)  # rounding may exceed 1
 
 

@@ -54,10 +54,6 @@ class View(ABC):
     """Whether the values, and the goals beside them, are expressed in the robot's own frame."""
 
     @abstractmethod
-    def size(self, observation_size: int) -> int:
-        """Return the number of values seen of an observation of `observation_size` values."""
-
-    @abstractmethod
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Write the view of `observation` [N, O] into `out` [N, V], and return the angle of its frame [N] in radians.
 
@@ -67,6 +63,10 @@ class View(ABC):
     @abstractmethod
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the values, given the names of the observed values."""
+
+    def size(self, observation_size: int) -> int:
+        """Return the number of values seen of an observation of `observation_size` values."""
+        return len(self.names([""] * observation_size))
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
@@ -87,10 +87,6 @@ class ColumnsView(View):
         """Select the values at `indices`, or all values if None."""
         self.indices = None if indices is None else tuple(int(index) for index in indices)
         self._columns = slice(None) if self.indices is None else _columns(self.indices)
-
-    def size(self, observation_size: int) -> int:
-        """Return the number of selected values."""
-        return observation_size if self.indices is None else len(self.indices)
 
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Copy the values; see `View.write`."""
@@ -124,10 +120,6 @@ class EgocentricView(View):
             for part in (proprioception[: body.num_qpos], proprioception[body.num_qpos :], others)
         ]
         self._qpos, self._qvel, self._others = (_columns(part) for part in self._places)
-
-    def size(self, observation_size: int) -> int:
-        """Return the number of the robot's own values and of the others."""
-        return self._own + len(self._places[2])
 
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Compute the robot's own values and copy the others; return the angle of its own frame. See `View.write`."""
@@ -177,10 +169,6 @@ class SectorsView(View):
         """Number of values per sector, C."""
         self._columns = _columns([index for ring in self.rings for index in ring])
         self._ahead, self._left = sector_directions(self.num_sectors)
-
-    def size(self, observation_size: int) -> int:
-        """Return the number of channels times the number of sectors."""
-        return self.num_channels * self.num_sectors
 
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Write the channels one after another; see `View.write`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 Point = tuple[float, float, float]
 """x, y and z in metres."""
@@ -16,12 +17,11 @@ TRAIL: Rgba = (0.93, 0.50, 0.16, 0.8)
 ROBOT: Rgba = (0.93, 0.50, 0.16, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Marker:
     """A ball, an upright disc or a line, in metres."""
 
-    shape: str
-    """`ball`, `disc` or `line`."""
+    shape: Literal["ball", "disc", "line"]
     position: Point
     """Centre, or the start of a line."""
     radius: float
@@ -32,18 +32,3 @@ class Marker:
     """End of a line."""
     height: float = 0.02
     """Half height of a disc."""
-
-
-def ball(position: Point, radius: float, color: Rgba) -> Marker:
-    """Return a ball with its centre at `position`."""
-    return Marker(shape="ball", position=position, radius=radius, color=color)
-
-
-def disc(position: Point, radius: float, color: Rgba, height: float = 0.02) -> Marker:
-    """Return an upright disc or column with its centre at `position`."""
-    return Marker(shape="disc", position=position, radius=radius, color=color, height=height)
-
-
-def line(start: Point, end: Point, radius: float, color: Rgba) -> Marker:
-    """Return a line between two points."""
-    return Marker(shape="line", position=start, end=end, radius=radius, color=color)

@@ -15,7 +15,7 @@ import numpy as np
 from shes.agents.views import View
 from shes.drawing.window import open_window
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker
 from shes.runs.build import open_run
 from shes.runs.evaluate import fresh_seeds
 from shes.runs.loaded_agent import Agent
@@ -134,12 +134,13 @@ def _goal_and_trail(place: F64Array | None, trail: deque[F64Array], ground_m: fl
     """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
     height = ground_m + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
-    way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
-    spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
+    way = [Marker("line", start, _LINE_RADIUS_M, TRAIL, end) for start, end in pairwise(places)]
+    spot = Marker("disc", places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
     if place is None:
         return [*way, spot]
     goal = (*place, height)
-    return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]
+    to_goal = Marker("line", places[-1], _LINE_RADIUS_M / 2, GOAL, goal)
+    return [*way, spot, to_goal, Marker("disc", goal, _GOAL_RADIUS_M, GOAL)]
 
 
 @checked

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from shes.envs.bodies.body import ObservationElement, elements
-from shes.envs.markers import TARGET, Marker, ball
+from shes.envs.markers import TARGET, Marker
 from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.settings import Ge, Le, Shared
@@ -117,7 +117,7 @@ class Flagrun(Task):
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the goal."""
-        return [ball((*to_host(self._goal[episode]), 0.5), 0.4, TARGET)]
+        return [Marker("ball", (*to_host(self._goal[episode]), 0.5), 0.4, TARGET)]
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the goals of episodes `ids`; see `Task.reset_features`."""

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from shes.envs.bodies.body import Body, ObservationElement
-from shes.envs.markers import FOOD, POISON, Marker, ball, line
+from shes.envs.markers import FOOD, POISON, Marker
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import add_square_walls, empty_world
@@ -148,7 +148,7 @@ class Gather(Task):
         """Return the remaining objects as balls."""
         objects, present = to_host(self.objects[episode]), to_host(self.present[episode])
         return [
-            ball((*place, MARKER_RADIUS_M), MARKER_RADIUS_M, color)
+            Marker("ball", (*place, MARKER_RADIUS_M), MARKER_RADIUS_M, color)
             for kind, color in enumerate((FOOD, POISON))
             for place in objects[kind][present[kind]]
         ]
@@ -166,7 +166,7 @@ class Gather(Task):
             arc = [(x + distance * np.cos(each), y + distance * np.sin(each), _RAY_HEIGHT_M) for each in bearings]
             ends = [((x, y, _RAY_HEIGHT_M), arc[_ARC_LINES // 2]), *pairwise(arc)]
             faint = (*(FOOD, POISON)[kind][:3], _RAY_OPACITY)
-            markers += [line(start, end, _RAY_RADIUS_M, faint) for start, end in ends]
+            markers += [Marker("line", start, _RAY_RADIUS_M, faint, end) for start, end in ends]
         return markers
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.episode_batch import Places
-from shes.envs.markers import TARGET, Marker, ball, disc
+from shes.envs.markers import TARGET, Marker
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
 from shes.envs.tasks.task_options import Coordinates, FallOptions
 from shes.envs.worlds import CELL_SIZE_M
@@ -194,8 +194,8 @@ class TargetTask(Task):
     def markers(self, episode: int) -> list[Marker]:
         """Return the target and the disc within which it counts as reached."""
         x, y, *_ = to_host(self.target[episode])
-        ring = disc((x, y, self.ground_m + 0.02), SUCCESS_DISTANCE_M, (*TARGET[:3], 0.25), height=0.01)
-        return [ring, ball((x, y, self.ground_m + 0.5), 0.5, TARGET)]
+        ring = Marker("disc", (x, y, self.ground_m + 0.02), SUCCESS_DISTANCE_M, (*TARGET[:3], 0.25), height=0.01)
+        return [ring, Marker("ball", (x, y, self.ground_m + 0.5), 0.5, TARGET)]
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the targets of episodes `ids`; see `Task.reset_features`."""
