@@ -110,7 +110,7 @@ def test_the_whole_help_shows_every_setting_in_its_group(shes, line):
     for section in config.sections:
         assert f" {section} options " in text
     for name in config.values.keys() - {"env"}:
-        assert re.search(rf"{config.setting(name).flag}\b", text), name
+        assert re.search(rf"{config.settings[name].flag}\b", text), name
     assert ("--primitive-reward" in text) is ("es" not in more)
 
 
@@ -181,7 +181,7 @@ def test_the_value_of_every_setting_can_be_written(given, preset):
     config = make_config("ant-gather", preset)
     words, expected = [], {}
     for name in sorted(config.values.keys() - {"env", "seed"}):
-        value, flag = config.values[name], config.setting(name).flag
+        value, flag = config.values[name], config.settings[name].flag
         if isinstance(value, bool):
             words.append(flag if value else flag.replace("--", "--no-"))
         else:

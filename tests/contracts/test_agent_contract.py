@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from shes.agents.agent import AgentInputs
-from shes.runs.build import build_algorithm, build_task
+from shes.runs.build import build_algorithm, build_environment, build_options
 from shes.runs.make_config import make_config
 from tests.rollout.designs import INTERVAL, OBSERVED, every_design, levels_of, thetas_of
 from tests.rollout.plain_agent import PlainAgent, columns
@@ -92,7 +92,11 @@ def subject(name):
 def tumbling(name, rng):
     """Return the subject of ants that are turned and tilted, and pushed at random."""
     config = make_config(name, "smoke", {**ANTS[name], "reset_noise": 0.5})
-    task, seen, ids = build_task(config, MEMBERS * EPISODES, is_evaluation=False), [], np.arange(MEMBERS * EPISODES)
+    task, seen, ids = (
+        build_environment(config).make(MEMBERS * EPISODES, build_options(config, is_evaluation=False)),
+        [],
+        np.arange(MEMBERS * EPISODES),
+    )
     task.reset(ids, ids.tolist())
     for _ in range(STEPS):
         goal = rng.uniform(-4, 4, (len(ids), 2)) + task.position

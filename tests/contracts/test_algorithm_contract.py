@@ -19,10 +19,9 @@ from shes.evolution import way_search
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig, known_settings
-from shes.runs.make_config import make_config
+from shes.runs.make_config import make_config, transferred_levels
 from shes.runs.named_algorithms import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.runs.tables import read_csv
-from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
 from tests.e2e import runs
 

@@ -10,7 +10,7 @@ from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
-from shes.runs.build import build_algorithm, build_task
+from shes.runs.build import build_algorithm, build_environment, build_options
 from shes.runs.make_config import make_config
 from tests.contracts.variants import VARIANTS
 
@@ -87,7 +87,11 @@ def test_points_see_velocities_and_an_upright_ant_its_heading():
 
 def moving(config, rows):
     """Return a task whose robots are somewhere, and what it observes."""
-    task, rng, ids = build_task(config, rows, is_evaluation=False), np.random.default_rng(8), np.arange(rows)
+    task, rng, ids = (
+        build_environment(config).make(rows, build_options(config, is_evaluation=False)),
+        np.random.default_rng(8),
+        np.arange(rows),
+    )
     task.reset(ids, ids.tolist())
     for _ in range(3):
         task.step(ids, rng.uniform(-1, 1, (rows, task.action_size)) * task.control_limit)
@@ -118,7 +122,7 @@ def test_a_clock_runs_by_the_steps_of_its_environment():
     """Pendulum's are 1/30 of a second, a built-in task's a tenth."""
     for env, algorithm in (("gymnasium:Pendulum-v1", "es"), ("point-gather", "es"), ("point-gather", "shes")):
         config = make_config(env, "smoke", {"algorithm": algorithm, "clock_frequency": 1.0})
-        task = build_task(config, 1, is_evaluation=False)
+        task = build_environment(config).make(1, build_options(config, is_evaluation=False))
         assert build_algorithm(config).design.clock.step_s == task.step_s == (0.1 if "point" in env else 1 / 30)
 
 

@@ -11,7 +11,7 @@ from shes.agents.goal_agent import GoalAgent
 from shes.cli import main
 from shes.envs.bodies.point import Point
 from shes.envs.named_environments import ENVIRONMENTS, Environment
-from shes.envs.tasks.mazes import Maze
+from shes.envs.tasks.target_task import Maze
 from shes.errors import ConfigError
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.evaluate import Evaluation, build_backend, evaluate

@@ -10,7 +10,7 @@ import pytest
 
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.errors import ConfigError, PolicyError, ShapeError
-from shes.runs.build import build_task
+from shes.runs.build import build_environment, build_options
 from shes.runs.evaluate import evaluate, evaluation_seeds
 from shes.runs.folder import RunFolder
 from shes.runs.loaded_agent import load
@@ -22,7 +22,7 @@ from tests.e2e import runs
 def observations(tiny_run):
     """Observations [60, 3, O] of three environments that nobody steers."""
     config = RunFolder.open(tiny_run).read_config()
-    task = build_task(config, 3, is_evaluation=True)
+    task = build_environment(config).make(3, build_options(config, is_evaluation=True))
     task.reset(np.arange(3), [1, 2, 3])
     seen = []
     for _ in range(60):

@@ -13,7 +13,7 @@ import shes
 from shes import cli
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs import shipped
-from shes.runs.build import build_task
+from shes.runs.build import build_environment, build_options
 from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.shipped import AGENTS, read_agent, shipped_name, shipped_names
@@ -123,7 +123,10 @@ def test_every_shipped_agent_is_small_complete_and_acts(name):
             assert (option, given) in pairwise(record["command"])
         if option == "--primitive":
             assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == given
-    agent, task = shes.load(name), build_task(folder.read_config(), 1, is_evaluation=True)
+    agent, task = (
+        shes.load(name),
+        build_environment(folder.read_config()).make(1, build_options(folder.read_config(), is_evaluation=True)),
+    )
     task.reset(np.array([0]), [1])
     control = agent.control(task.observe(), task.position, task.heading, task.goal)
     assert np.isfinite(control).all()

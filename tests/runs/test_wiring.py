@@ -15,7 +15,7 @@ import pytest
 
 import shes
 from shes.baselines.hiro import HIRO
-from shes.envs.tasks.mazes import Maze
+from shes.envs.tasks.target_task import Maze
 from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
 from shes.runs.config import known_settings

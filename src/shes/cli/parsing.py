@@ -28,9 +28,8 @@ from shes.console import LineConsole
 from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
 from shes.runs.config import RunSettings, TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
-from shes.runs.make_config import make_config
+from shes.runs.make_config import make_config, transferred_levels
 from shes.runs.progress_display import drawing_progress
-from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag
 from shes.types import Listing
 

@@ -18,14 +18,14 @@ BUILTIN_SPECS = ("shes", "hiro")
 """Specifications of every environment here: equal to `Task.specs`, but known without importing the class."""
 BUILTIN_ENVIRONMENTS = {
     "ant-gather": ("ant:Ant", "gather:Gather"),
-    "ant-maze": ("ant:Ant", "mazes:Maze"),
-    "ant-push": ("ant:Ant", "mazes:Push"),
-    "ant-fall": ("ant:Ant", "mazes:Fall"),
+    "ant-maze": ("ant:Ant", "target_task:Maze"),
+    "ant-push": ("ant:Ant", "target_task:Push"),
+    "ant-fall": ("ant:Ant", "target_task:Fall"),
     "ant-flagrun": ("ant:Ant", "flagrun:Flagrun"),
     "point-gather": ("point:Point", "gather:Gather"),
-    "point-maze": ("point:Point", "mazes:Maze"),
-    "point-push": ("point:Point", "mazes:Push"),
-    "point-fall": ("point:FallingPoint", "mazes:Fall"),
+    "point-maze": ("point:Point", "target_task:Maze"),
+    "point-push": ("point:Point", "target_task:Push"),
+    "point-fall": ("point:FallingPoint", "target_task:Fall"),
     "point-flagrun": ("point:Point", "flagrun:Flagrun"),
 }
 """Body, below `shes.envs.bodies`, and task, below `shes.envs.tasks`, of each environment, imported when needed.

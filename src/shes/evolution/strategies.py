@@ -18,11 +18,17 @@ from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
 from shes.evolution.algorithm import GenerationReport, evolve
-from shes.evolution.checks import check_effects, check_together, warnings
 from shes.evolution.designs import PRIMITIVE_TRANSFER, SHES_TRANSFERS, branch_design, flat_design, goal_design
 from shes.evolution.estimates import Population
 from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_PRESETS, SES_SECTIONS, SHES_PRESETS, SHES_SECTIONS
-from shes.evolution.hyperparameters import make_hyperparameters, population, steps_per_generation
+from shes.evolution.hyperparameters import (
+    check_effects,
+    check_together,
+    make_hyperparameters,
+    population,
+    steps_per_generation,
+    warnings,
+)
 from shes.evolution.state import TrainState, check_headers, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan

@@ -13,7 +13,6 @@ from shes.algorithms.contract import Algorithm
 from shes.algorithms.problem import Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
-from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.task_options import TaskOptions
@@ -45,11 +44,6 @@ def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment for training or evaluation."""
     noise = EVALUATION_RESET_NOISE if is_evaluation else config.environment.reset_noise
     return replace(config.environment, reset_noise=noise, evaluation=is_evaluation)
-
-
-def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> EpisodeBatch:
-    """Return a batch of `num_episodes` episodes of the environment of `config`."""
-    return build_environment(config).make(num_episodes, build_options(config, is_evaluation=is_evaluation))
 
 
 def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
@@ -119,7 +113,7 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         if device != "cpu" and asked.get(name, usual[0]) not in usual:
             raise ConfigError(
                 f"{name} is {asked[name]!r}, but one process serves device {device}. "
-                f"Omit {config.setting(name).flag}, or set --device cpu."
+                f"Omit {config.settings[name].flag}, or set --device cpu."
             )
 
 

@@ -148,9 +148,10 @@ class TrainConfig:
     def __contains__(self, section: str) -> bool:
         return section in self.sections
 
-    def setting(self, name: str) -> Setting:
-        """Return the description of setting `name`."""
-        return by_name(settings_by_section(self.run))[name]
+    @property
+    def settings(self) -> dict[str, Setting]:
+        """The description of every setting by name, made anew: read it once for several."""
+        return by_name(settings_by_section(self.run))
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the settings as JSON types, by section."""
@@ -159,8 +160,7 @@ class TrainConfig:
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
-        settings = by_name(settings_by_section(self.run))
-        return {name: self._as_json(name) for name, each in settings.items() if not each.has(Execution)}
+        return {name: self._as_json(name) for name, each in self.settings.items() if not each.has(Execution)}
 
     def _as_json(self, name: str) -> Any:
         value = self.values[name]

@@ -193,9 +193,9 @@ class RunFolder:
                 f"the shipped agent {agent} has only the checkpoint best, got {name!r}. Omit --checkpoint."
             )
         checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
-        mine = config.numbers()
+        mine, settings = config.numbers(), config.settings
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
-        theirs = {name: checkpoint.numbers.get(name, config.setting(name).default) for name in mine}
+        theirs = {name: checkpoint.numbers.get(name, settings[name].default) for name in mine}
         if others := differing(theirs, mine):
             raise CheckpointError(f"{path} is of another run: {others}. Put back the checkpoint of this run.")
         return replace(checkpoint, numbers=mine)

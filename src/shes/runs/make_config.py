@@ -1,4 +1,9 @@
-"""The settings of a run from a preset and the values that were asked for."""
+"""The settings of a run: from a preset, what was asked for, and the levels that it takes from other runs.
+
+A run may begin with the primitive or the controller of another one. Such a level brings the settings that determine its
+inputs and layers. They become settings of the new run, which then no longer needs the folder of the other.
+Source: SHES paper, II-D.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from shes.algorithms.contract import PRESETS, Preset
-from shes.envs.named_environments import find_environment
+from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
+from shes.envs.named_environments import Environment, find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
-from shes.runs.build import check_asked_device
+from shes.runs.build import OpenedRun, check_asked_device, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
-from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES
+from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.runs.shipped import run_text
-from shes.runs.transfer import brought_settings, transferred_levels
-from shes.settings import setting_fields
+from shes.settings import flag, setting_fields
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -62,10 +66,10 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
 
 def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
     """Raise ConfigError if a setting in `asked` has no effect with the others."""
-    is_ours = not find_environment(config.run.env).has_own_physics
+    settings, has_own_physics = config.settings, find_environment(config.run.env).has_own_physics
     for name in asked:
-        setting = config.setting(name)
-        if name in setting_fields(TaskOptions) and not is_ours:
+        setting = settings[name]
+        if name in setting_fields(TaskOptions) and has_own_physics:
             raise ConfigError(
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."
@@ -74,6 +78,90 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         if not needed or any(value in need.values if need.values else value is not None for need, value in needed):
             continue
         first, found = needed[0][0], ", ".join(f"{need.other} {value!r}" for need, value in needed)
-        fix = " to ".join(filter(None, (config.setting(first.other).flag, " or ".join(first.values))))
+        fix = " to ".join(filter(None, (settings[first.other].flag, " or ".join(first.values))))
         raise ConfigError(f"{name} has no effect with {found}, got {asked[name]!r}. Set {fix}, or omit {setting.flag}.")
     config.algorithm.check_effects(config, asked)
+
+
+def transferred_levels() -> tuple[str, ...]:
+    """Return the levels that runs of any algorithm may take from another run, which the setting of that name gives."""
+    return tuple(dict.fromkeys(level for each in algorithm_classes() for level in each.transfers))
+
+
+def _read(level: str, own: LevelTransfer, values: Mapping[str, Any]) -> OpenedRun:
+    """Return the run from which a run with settings `values` takes its `level`; raise ConfigError if it cannot."""
+    path = values[level]
+    opened = open_run(path, values.get(f"{level}_checkpoint", "best"))
+    source = opened.algorithm
+    if level not in source.level_names:
+        raise ConfigError(
+            f"{path} has no {level}: its levels are {', '.join(source.level_names)}. Name a run with "
+            f"--{level} that trained one: {own.trained_by}."
+        )
+    if source.transfers.get(level) is not own:
+        names = sorted(name for name, cls in ALGORITHMS.items() if cls.transfers.get(level) is own)
+        raise ConfigError(
+            f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that "
+            f"{' or '.join(names)} trained can be transferred. Name another run with --{level}."
+        )
+    return opened
+
+
+def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that come with the primitive or the controller, `level`, of another run.
+
+    `values` are the settings of the new run so far; those in `asked` were asked for, not taken from a preset.
+    """
+    algorithm = algorithm_of(RunSettings.of(values))
+    own = algorithm.transfers[level]
+    source = _read(level, own, values).config
+    theirs, ours = (_robot(each) for each in (source.run.env, values["env"]))
+    if theirs != ours:
+        raise ConfigError(
+            f"the {level} of {values[level]} does not fit {values['env']}: it was trained on {source.run.env} for "
+            f"{theirs}, but {values['env']} has {ours}. Name a {level} of the same robot with --{level}, or omit it."
+        )
+    brought = own.settings(source, algorithm.level_names)
+    for name in sorted(brought.keys() & asked.keys()):
+        if asked[name] != brought[name]:
+            raise ConfigError(
+                f"{name} is {asked[name]!r}, but the {level} of {values[level]} was trained with {brought[name]!r}. "
+                f"Omit {flag(name)}: it comes with the {level}."
+            )
+    return brought | {name: source.values[name] for name in own.suggested if name not in asked}
+
+
+def _robot(env: str) -> str:
+    found = find_environment(env)
+    return f"the {found.body.name}" if isinstance(found, Environment) else "an external robot"
+
+
+def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict[str, Any]]]:
+    """Return `state` with the levels from other runs that the settings name, and their origins.
+
+    A level comes with its parameters and observation statistics; raise ConfigError if its inputs or outputs differ.
+    """
+    origins: dict[str, dict[str, Any]] = {}
+    config = algorithm.problem.settings
+    for level, own in algorithm.transfers.items():
+        path = config.values.get(level)
+        if path is None:
+            continue
+        source = _read(level, own, config.values)
+        theirs, ours = own.interface(source.algorithm.problem), own.interface(algorithm.problem)
+        if theirs != ours:
+            raise ConfigError(
+                f"the {level} of {path} does not fit {config.run.env}.\n"
+                f"It was trained on {source.config.run.env}: {theirs}.\n"
+                f"Here there is: {ours}.\n"
+                f"{own.advice}"
+            )
+        state = own.move(source.state, state)
+        origins[level] = {
+            "run": path,
+            "env": source.config.run.env,
+            "checkpoint": config.values.get(f"{level}_checkpoint", "best"),
+            "generation": source.state.generation,
+            **source.folder.origin(),
+        }
+    return state, origins

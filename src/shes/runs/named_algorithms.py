@@ -16,7 +16,7 @@ from shes.registry import Registry, check_class, full_name
 TAKEN_SECTIONS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
     "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "sections",
-    "setting", "to_dict", "values",
+    "settings", "to_dict", "values",
 })  # fmt: skip
 """Names that a section of an algorithm cannot have: sections of every run, and attributes of `TrainConfig`."""
 

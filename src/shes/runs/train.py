@@ -28,11 +28,10 @@ from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig, known_settings, resumable_settings
 from shes.runs.evaluate import logger
 from shes.runs.folder import RunFolder, checked_out, differing, new_folder
-from shes.runs.make_config import make_config
+from shes.runs.make_config import make_config, transfer
 from shes.runs.progress_display import with_display
 from shes.runs.recorder import AnyListener, Recorder, listener_methods, run_log
 from shes.runs.tables import read_csv, trained_minutes
-from shes.runs.transfer import transfer
 from shes.types import F64Array, Listing
 
 

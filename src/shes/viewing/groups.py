@@ -16,10 +16,10 @@ from shes.errors import ConfigError, ShesError
 from shes.runs.comparison import differing_settings, settings_and_seeds
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.make_config import transferred_levels
 from shes.runs.runs_folder import find_runs
 from shes.runs.shipped import shipped_name
 from shes.runs.tables import read_csv
-from shes.runs.transfer import transferred_levels
 from shes.viewing.curves import Table
 
 _T = TypeVar("_T")
