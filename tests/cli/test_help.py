@@ -109,8 +109,8 @@ def test_the_whole_help_shows_every_setting_in_its_group(shes, line):
     config = make_config(env, "smoke", {"algorithm": "es"} if "es" in more else {})
     for section in config.sections:
         assert f" {section} options " in text
-    for name in config.values.keys() - {"env"}:
-        assert re.search(rf"{config.settings[name].flag}\b", text), name
+    for name, setting in config.settings.items():
+        assert name == "env" or re.search(rf"{setting.flag}\b", text), name
     assert ("--primitive-reward" in text) is ("es" not in more)
 
 
@@ -179,9 +179,9 @@ def test_the_value_of_a_flag_is_not_taken_for_the_environment(given, line):
 @pytest.mark.parametrize("preset", PRESET_NAMES)
 def test_the_value_of_every_setting_can_be_written(given, preset):
     config = make_config("ant-gather", preset)
-    words, expected = [], {}
+    words, expected, settings = [], {}, config.settings
     for name in sorted(config.values.keys() - {"env", "seed"}):
-        value, flag = config.values[name], config.settings[name].flag
+        value, flag = config.values[name], settings[name].flag
         if isinstance(value, bool):
             words.append(flag if value else flag.replace("--", "--no-"))
         else:

@@ -246,7 +246,7 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
         why, fix = "on a frozen primitive", "--no-freeze-primitive"
     elif is_branched(settings) and is_alone(settings):
         useless, fix = list(_OF_EPISODES), "--primitive-estimate episode"
-        why = f"on a primitive that {settings.run.env} trains by intervals: it applies to whole episodes only"
+        why = "on a primitive that is evaluated by intervals: it applies to whole episodes only"
     if found := [name for name in useless if name in asked]:
         name, *_ = found
         raise ConfigError(f"{name} has no effect {why}; got {asked[name]!r}. Omit {flag(name)}, or set {fix}.")
