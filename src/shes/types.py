@@ -10,7 +10,7 @@ functions accept both, and code that creates arrays uses the array module `xp`. 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol, TypeAlias, TypeGuard
+from typing import Any, Final, NamedTuple, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,6 @@ CONTROLLER: Final = 0
 """Index of the controller's level in a hierarchical state."""
 PRIMITIVE: Final = 1
 """Index of the primitive's level in a hierarchical state."""
-
-
-class ArrayHeader(Protocol):
-    """Shape and type of an array, which may still be in a file."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...  # noqa: D102 - as of an array
-
-    @property
-    def dtype(self) -> np.dtype[Any]: ...  # noqa: D102
 
 
 def is_whole(value: Any) -> TypeGuard[int]:

@@ -21,7 +21,7 @@ from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.settings import Settings
-from shes.types import ArrayHeader, F64Array
+from shes.types import F64Array
 
 
 class LevelTransfer(ABC):
@@ -230,9 +230,6 @@ class Algorithm(ABC, Generic[StateT]):
     @abstractmethod
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> StateT:
         """Return the state that `to_arrays` converted; raise KeyError or ValueError if it is not one."""
-
-    def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Raise CheckpointError if names, shapes or types of arrays, not yet read, are wrong; by default never."""
 
     @abstractmethod
     def parameters(self, state: StateT) -> tuple[LevelParameters, ...]:

@@ -13,7 +13,7 @@ from shes.es.level import LevelState, StrategyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.evolution.archive import Archive
-from shes.types import ArrayHeader, F64Array, IntArray
+from shes.types import F64Array, IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,34 +66,9 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in arrays.items()}
 
 
-def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None:
-    """Raise CheckpointError unless arrays with these headers can be a later state of the run begun by `start`."""
-    expected = to_arrays(start) | (_RUNNING if headers.keys() & _RUNNING.keys() else {})
-    faults = {"lacks": expected.keys() - headers.keys(), "has": headers.keys() - expected.keys()}
-    if any(faults.values()):
-        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
-        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
-    for name, array in headers.items():
-        own = expected[name]
-        fits = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"  # texts may be longer
-        is_growing = name in _ARCHIVE or name in _RUNNING
-        if not fits or (len(array.shape) != own.ndim if is_growing else array.shape != own.shape):
-            raise CheckpointError(
-                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
-                f"{own.shape}. Put back the checkpoint of this run."
-            )
-
-
-def check_finite(arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise CheckpointError if one of `arrays` holds NaN or infinity."""
-    for name, array in arrays.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
-
-
 def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
     """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
-    check_headers(arrays, start)
+    _check_arrays(arrays, start)
     check_finite(arrays)
     running = archive = None
     if "archive/cells" in arrays:
@@ -113,3 +88,28 @@ def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
     slots = {key.removeprefix("optimizer_"): values for key, values in own.items()}
     optimizer, statistics = OptimizerState(steps=steps, slots=slots), ObservationStatistics(count=count, **sums)
     return LevelState(name=name, theta=theta, optimizer=optimizer, statistics=statistics)
+
+
+def _check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
+    """Raise CheckpointError unless `arrays` can be a later state of the run begun by `start`."""
+    expected = to_arrays(start) | (_RUNNING if arrays.keys() & _RUNNING.keys() else {})
+    faults = {"lacks": expected.keys() - arrays.keys(), "has": arrays.keys() - expected.keys()}
+    if any(faults.values()):
+        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
+        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
+    for name, array in arrays.items():
+        own = expected[name]
+        fits = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"  # texts may be longer
+        is_growing = name in _ARCHIVE or name in _RUNNING
+        if not fits or (array.ndim != own.ndim if is_growing else array.shape != own.shape):
+            raise CheckpointError(
+                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
+                f"{own.shape}. Put back the checkpoint of this run."
+            )
+
+
+def check_finite(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise CheckpointError if one of `arrays` holds NaN or infinity."""
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")

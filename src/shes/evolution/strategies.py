@@ -29,12 +29,11 @@ from shes.evolution.hyperparameters import (
     steps_per_generation,
     warnings,
 )
-from shes.evolution.state import TrainState, check_headers, from_arrays, to_arrays
+from shes.evolution.state import TrainState, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
 from shes.streams import Purpose, stream
-from shes.types import ArrayHeader
 
 _MAX_THREADS = 8  # of the gradient; with more, memory bandwidth is the limit
 
@@ -86,10 +85,6 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
         """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
         return from_arrays(arrays, self.start(0))
-
-    def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run."""
-        check_headers(headers, self.start(0))
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the mean policies."""

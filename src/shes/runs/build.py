@@ -82,7 +82,7 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
     folder = RunFolder.open(run)
     config = folder.read_config().having(**execution)
     algorithm = build_algorithm(config)
-    loaded = folder.load(checkpoint, algorithm.check_headers)
+    loaded = folder.load(checkpoint)
     state = restore(loaded, algorithm.from_arrays, folder.checkpoint_path(checkpoint))
     return OpenedRun(folder=folder, config=config, algorithm=algorithm, state=state)
 

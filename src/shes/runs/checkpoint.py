@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from shes.errors import CheckpointError, ConfigError
 from shes.storage import write_atomically
-from shes.types import ArrayHeader
 
 StateT = TypeVar("StateT")
 
@@ -21,9 +20,6 @@ FORMAT = 2
 _OWN = ("format", "best_generation", "best_score", "best_return", "settings")
 """Arrays that do not belong to the algorithm."""
 _OF_EVERY_ALGORITHM = ("seed", "generation", "env_steps")
-
-ArrayCheck: TypeAlias = Callable[[Mapping[str, ArrayHeader]], object]
-"""Checks the names, shapes and types of an algorithm's arrays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +72,10 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
     write_atomically(path, lambda file: save(file, allow_pickle=False, **arrays))
 
 
-def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
+def load_checkpoint(path: Path, *, with_state: bool = True) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
-    Args:
-        path: The file.
-        check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects.
-        with_state: Whether to read all arrays. Otherwise only those that every checkpoint has are read, which is quick.
+    Without `with_state`, only the arrays that every checkpoint has are read, which is quick.
     """
     if not path.is_file():
         others = sorted(other.stem for other in path.parent.glob("*.npz") if other.is_file())
@@ -100,8 +93,6 @@ def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: 
                 f"has checkpoint format {own['format']}; this version of SHES reads {FORMAT}. "
                 "Use the version that wrote it (config.json of the run names it)."
             )
-        if check is not None:
-            check(arrays)
         best = Best(generation=own["best_generation"], score=own["best_score"], mean_return=own["best_return"])
         return Checkpoint(arrays=arrays, best=best, numbers=dict(json.loads(own["settings"])))
 

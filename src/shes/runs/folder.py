@@ -20,7 +20,7 @@ from typing import Any
 
 from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import ArrayCheck, Checkpoint, load_checkpoint
+from shes.runs.checkpoint import Checkpoint, load_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
 from shes.sim.warp_device import WarpDevice
@@ -185,14 +185,14 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
-        """Return checkpoint `name` of this run; for `check` and `with_state` see `load_checkpoint`."""
+    def load(self, name: str | int, *, with_state: bool = True) -> Checkpoint:
+        """Return checkpoint `name` of this run; for `with_state` see `load_checkpoint`."""
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
             raise CheckpointError(
                 f"the shipped agent {agent} has only the checkpoint best, got {name!r}. Omit --checkpoint."
             )
-        checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
+        checkpoint, config = load_checkpoint(path, with_state=with_state), self.read_config()
         mine, settings = config.numbers(), config.settings
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         theirs = {name: checkpoint.numbers.get(name, settings[name].default) for name in mine}

@@ -164,7 +164,7 @@ def _resume_run(path: Path | str, listener: AnyListener, settings: dict[str, Any
     with folder.lock(), resumable(folder.path):
         algorithm = build_algorithm(config)
         check_limits(config, algorithm.design)
-        checkpoint = folder.load("last", algorithm.check_headers)
+        checkpoint = folder.load("last")
         _check_unfinished(path, config, checkpoint)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
