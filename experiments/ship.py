@@ -10,7 +10,7 @@ import csv
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -82,7 +82,7 @@ def ship(
             generation=chosen.generation,
             evaluation=fresh_evaluation(folder, episodes=episodes, seed=seed, num_workers=num_workers),
         )
-        text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
+        text = json.dumps(asdict(agent), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
             folder.path.rename(place / name)
@@ -163,5 +163,5 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--earlier", nargs="+", default=(), metavar="RUN", help="runs whose time and steps are added")
     parser.add_argument("--into", metavar="DIR", help="folder of shipped agents; that of the package if none")
     agent = ship(**vars(parser.parse_args(words)))
-    print(json.dumps(agent.to_dict(), indent=2, ensure_ascii=False))
+    print(json.dumps(asdict(agent), indent=2, ensure_ascii=False))
     return 0

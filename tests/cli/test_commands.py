@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from dataclasses import asdict
 from functools import wraps
 from importlib.metadata import version
 from pathlib import Path
@@ -47,7 +48,7 @@ def test_list_shows_runs_and_shipped_agents(shes, tiny_run, tmp_path, monkeypatc
     assert re.search(rf"ant-gather +│ ant-gather +│ {scores} +│ ", text)
     assert re.search(rf"^ant-gather +{re.escape(told.description)}\.$", text, re.MULTILINE)
     found = json.loads(shes("list", tiny_run.parent, "--json"))
-    assert found["agents"] == {name: read_agent(name).to_dict() for name in shipped_names()}
+    assert found["agents"] == {name: asdict(read_agent(name)) for name in shipped_names()}
     assert [(run["env"], run["generation"], run["state"]) for run in found["runs"]] == [("point-gather", 4, "finished")]
     monkeypatch.chdir(tmp_path)
     assert "There is no run below runs." in shes("list")
@@ -113,7 +114,7 @@ def test_info_shows_how_a_shipped_agent_was_trained(shes):
     for other in (told.evaluation.constant, told.evaluation.random):
         assert re.search(rf"score, {other.controller} +│ {other.score} ", text)
     assert f"Trained by:\n{told.commands[0]}\n" in text
-    assert json.loads(shes("info", "ant-gather", "--json")).items() >= told.to_dict().items()
+    assert json.loads(shes("info", "ant-gather", "--json")).items() >= asdict(told).items()
 
 
 def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_run):

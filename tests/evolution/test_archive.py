@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.evolution.archive import PATIENCE, Archive
+from shes.evolution.state import PATIENCE, Archive
 from shes.rollout.episodes import wander
 
 

@@ -9,8 +9,8 @@ import shes
 from shes.backends.backend import Backend
 from shes.errors import ConfigError
 from shes.evolution import way_search
-from shes.evolution.archive import PATIENCE, Archive
 from shes.evolution.estimates import draw_episodes
+from shes.evolution.state import PATIENCE, Archive
 from shes.rollout.episodes import EpisodeResults, Snapshot
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

@@ -70,7 +70,7 @@ def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_ru
     assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
     assert told.generation == checkpoint.generation
     assert 0 <= told.hours < 0.1
-    result, scores = told.to_dict()["evaluation"], {"episodes", "score_mean", "score_std", "success_rate"}
+    result, scores = asdict(told)["evaluation"], {"episodes", "score_mean", "score_std", "success_rate"}
     for controller in ("constant", "random"):
         found = evaluate("point-gather", episodes=3, seed=7, controller=controller)
         other = result.pop(controller)

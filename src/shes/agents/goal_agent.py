@@ -18,7 +18,7 @@ from shes.agents.goals import ControllerOutput, GoalEncoding
 from shes.agents.mlp import MLP
 from shes.agents.rewards import REACHED_M, PrimitiveReward
 from shes.agents.views import ColumnsView, View
-from shes.envs.bodies.symmetry import SymmetryGroup
+from shes.envs.bodies.body import SymmetryGroup
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 _MIN_START_M = 1e-3  # a goal may be set where the robot stands; the relative progress must stay finite
@@ -63,15 +63,11 @@ class Frames:
         self._own_control: IntArray = xp.zeros((num_robots, num_controls), dtype=np.int64)
         self._own_control_sign: F32Array = xp.zeros((num_robots, num_controls), dtype=np.float32)
         self._robots = xp.arange(num_robots)[:, None]
-        self.set(slice(None), xp.zeros(num_robots, dtype=np.int64))
+        self.choose(slice(None), xp.asarray([[1.0, 0.0]] * num_robots))
 
     def choose(self, robots: slice | IntArray, vector: F64Array) -> None:
         """Choose the frames of `robots` for goals at `vector` [robots, 2] (ahead, left) in the robots' own frames."""
-        self.set(robots, self._group.choose(vector[:, 0], vector[:, 1]))
-
-    def set(self, robots: slice | IntArray, element: IntArray) -> None:
-        """Set the frames of `robots` to these elements of the group [robots]."""
-        number = self._robots[robots]
+        element, number = self._group.choose(vector[:, 0], vector[:, 1]), self._robots[robots]
         self._own_direction[:, robots] = self._direction[:, element]
         self._own_view[robots] = self._view_index[element] + number * self._view_index.shape[1]
         self._own_view_sign[robots] = self._view_sign[element]

@@ -20,7 +20,7 @@ from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, Proprioception, SectorsView, View, ViewChoice
 from shes.algorithms.contract import LevelTransfer
 from shes.algorithms.problem import Problem
-from shes.envs.bodies.symmetry import SymmetryGroup
+from shes.envs.bodies.body import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.evolution.hyperparameters import explores, is_alone, is_branched

@@ -17,7 +17,7 @@ from shes.agents.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.algorithms.contract import Preset
-from shes.envs.bodies.symmetry import SYMMETRIES
+from shes.envs.bodies.body import SYMMETRIES
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import MIRRORINGS, PERTURBATIONS

@@ -16,9 +16,9 @@ from shes.es.level import UpdateRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, sign_matrix
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
-from shes.evolution.archive import Archive
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate, Schedule
 from shes.evolution.evolution_settings import HierarchySettings
+from shes.evolution.state import Archive
 from shes.evolution.way_search import SLICES, WaySearch
 from shes.options import make
 from shes.settings import flag, out_of_range, setting_fields

@@ -15,8 +15,7 @@ import numpy as np
 
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
-from shes.evolution.archive import Archive
-from shes.evolution.state import TrainState
+from shes.evolution.state import Archive, TrainState
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import roll_out_tasks
 from shes.streams import Purpose, stream

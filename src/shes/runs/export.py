@@ -18,8 +18,7 @@ import numpy as np
 
 from shes.agents.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.agents.mlp import MLP
-from shes.envs.bodies.body import Body, yaw
-from shes.envs.bodies.symmetry import SymmetryGroup, dihedral_group
+from shes.envs.bodies.body import Body, SymmetryGroup, dihedral_group, yaw
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters

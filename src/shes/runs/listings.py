@@ -98,7 +98,7 @@ def list_runs(folder: Path | str = "runs") -> Listing:
             "Constant, random: score with the best constant controller, and with random goals, on the same episodes.",
             *(f"{name} {agent.description.rstrip('.')}." for name, agent in agents.items()),
         ]
-    shown = {name: agent.to_dict() for name, agent in agents.items()}
+    shown = {name: asdict(agent) for name, agent in agents.items()}
     return Listing({"runs": [asdict(run) for run in runs], "agents": shown}, parts)
 
 
@@ -124,7 +124,7 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         shown = facts
     else:
         agent = read_agent(name)
-        facts = {"agent": name, "algorithm": config.run.algorithm, "levels": levels, **agent.to_dict()}
+        facts = {"agent": name, "algorithm": config.run.algorithm, "levels": levels, **asdict(agent)}
         shown = {each: facts[each] for each in ("agent", "env", "algorithm", "levels", "env_steps", "hours", "cores")}
         shown["score"] = f"{agent.evaluation.score} over {agent.evaluation.episodes} fresh episodes"
         shown |= {f"score, {each.controller}": each.score for each in agent.evaluations[1:] if each is not None}

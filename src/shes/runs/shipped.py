@@ -8,10 +8,9 @@ from __future__ import annotations
 import difflib
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from shes.errors import RunFolderError, UnknownNameError, nearest_first
 
@@ -71,10 +70,6 @@ class ShippedAgent:
     def evaluations(self) -> tuple[FreshScore | None, ...]:
         """Its results, and those of the constant and the random controller."""
         return self.evaluation, self.evaluation.constant, self.evaluation.random
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the description as JSON types."""
-        return asdict(self)
 
 
 def shipped_names() -> tuple[str, ...]:

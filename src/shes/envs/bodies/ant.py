@@ -10,8 +10,15 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, ObservationElement, elements, yaw
-from shes.envs.bodies.symmetry import SymmetryGroup, dihedral_group, signed_permutation
+from shes.envs.bodies.body import (
+    Body,
+    ObservationElement,
+    SymmetryGroup,
+    dihedral_group,
+    elements,
+    signed_permutation,
+    yaw,
+)
 from shes.types import BoolArray, F64Array
 
 TORSO_HEIGHT_M = 0.75

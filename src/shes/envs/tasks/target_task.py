@@ -18,6 +18,7 @@ from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescriptio
 from shes.envs.tasks.task_options import Coordinates, FallOptions
 from shes.envs.worlds import CELL_SIZE_M, WALL_HEIGHT_M, Grid, is_free
 from shes.errors import ConfigError
+from shes.settings import flag, out_of_range
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
 SUCCESS_DISTANCE_M = 5.0
@@ -129,10 +130,7 @@ class TargetTask(Task):
         size = len(cls.own_target)
         for name, place in (("target", options.target), ("evaluation_target", options.evaluation_target)):
             if place is not None and len(place) != size:
-                flag = f"--{name.replace('_', '-')}"
-                raise ConfigError(
-                    f"{name} of {cls.name} must be {size} coordinates in metres, got {place}. Set {flag}."
-                )
+                raise out_of_range(f"{name} of {cls.name}", place, f"{size} coordinates in metres", flag(name))
         way = options.waypoints
         if way is not None and len(way) % size:
             raise ConfigError(f"waypoints of {cls.name} must be {size} coordinates each, got {way}. Set --waypoints.")
