@@ -10,7 +10,7 @@ functions accept both, and code that creates arrays uses the array module `xp`. 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, TypeAlias, TypeGuard
+from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,6 @@ F64Array: TypeAlias = NDArray[np.float64]
 FloatArray: TypeAlias = NDArray[np.floating[Any]]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
-
-CONTROLLER: Final = 0
-"""Index of the controller's level in a hierarchical state."""
-PRIMITIVE: Final = 1
-"""Index of the primitive's level in a hierarchical state."""
 
 
 def is_whole(value: Any) -> TypeGuard[int]:

@@ -53,7 +53,7 @@ def test_weights_that_the_symmetry_forbids_are_zero():
 def test_initial_parameters_are_weights_of_an_mlp_of_that_size():
     network = EquivariantMLP(NETWORKS["ring"])
     theta, full = (
-        each.initial(np.random.default_rng(2), output_initialisation="zero") for each in (network, MLP(50, (80,), 10))
+        each.initial(np.random.default_rng(2), output_weights="zero") for each in (network, MLP(50, (80,), 10))
     )
     weights = network.expand(theta[None])
     assert set(weights[0].tolist()) <= set(full.tolist())

@@ -145,7 +145,7 @@ def test_a_primitive_acts_in_images_of_its_group_as_in_the_world(kind, equal):
     worlds = [turned(rng.uniform(-np.pi, np.pi)) @ MIRRORS[element // 4] for element in range(len(ELEMENTS))]
     images = [Images(model, *each) for each in ((np.eye(3), np.eye(3)), *zip(worlds, ELEMENTS, strict=True))]
     design = GoalDesign(
-        primitive=MLP(AngleEncoding.size + view.size(29), (16, 16), Ant().num_controls),
+        primitive=MLP(AngleEncoding.size + view.size(29), (16, 16), len(Ant.controls)),
         primitive_view=view,
         symmetry=GROUPS.get(kind),
         goal_encoding=AngleEncoding(),

@@ -1,6 +1,7 @@
 """Agents that are shipped: small run folders without local paths, with what a fresh evaluation finds again."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest

@@ -12,9 +12,9 @@ from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import MIRRORINGS, PERTURBATIONS
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.evolution.algorithm import evolve
-from shes.evolution.estimates import COMMON_RANDOM_NUMBERS
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
+from shes.runs.config import known_settings
 from shes.runs.make_config import make_config
 from tests.rollout.formula import bits
 from tests.rollout.workers import AnyWorker
@@ -28,7 +28,7 @@ CHOICES = {
     "optimizer": OPTIMIZERS,
     "perturbation": PERTURBATIONS,
     "mirrored": MIRRORINGS,
-    "common_random_numbers": COMMON_RANDOM_NUMBERS,
+    "common_random_numbers": known_settings()["common_random_numbers"].choices,
 }
 OPTIONS = {
     **{f"{name}={each}": {name: each} for name, choices in CHOICES.items() for each in choices},

@@ -68,10 +68,10 @@ class EquivariantMLP(MLP):
         self._input_orbit, self._input_sign = _orbits(actions[0], trivial)
 
     def initial(
-        self, rng: np.random.Generator, bias_initialisation: str = "zero", output_initialisation: str = "glorot_normal"
+        self, rng: np.random.Generator, biases: str = "zero", output_weights: str = "glorot_normal"
     ) -> F32Array:
         """Return initial parameters [D], of the same distribution as the weights of an `MLP` of this size."""
-        return super().initial(rng, bias_initialisation, output_initialisation)[self._first]
+        return super().initial(rng, biases, output_weights)[self._first]
 
     def expand(self, theta: F32Array, xp: ModuleType = np) -> F32Array:
         """Return the weights and biases [P, W] of policies `theta` [P, D], arrays of `xp`."""

@@ -21,12 +21,6 @@ from shes.es.statistics import CLIP, Moments
 from shes.settings import Example, Ge, checked
 from shes.types import F32Array, F64Array, FloatArray, IntArray
 
-BIAS_INITIALISATIONS = ("zero", "glorot_normal")
-"""`glorot_normal` as in the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
-
-OUTPUT_INITIALISATIONS = ("glorot_normal", "zero")
-"""`zero` starts with outputs of zero. Random weights would drive the outputs of a linear policy to their limits."""
-
 Layers: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
 """Weights [P, in, out] and biases [P, 1, out] of each layer of P policies."""
 
@@ -72,15 +66,19 @@ class MLP:
         self.num_params = self.num_weights = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
 
     def initial(
-        self, rng: np.random.Generator, bias_initialisation: str = "zero", output_initialisation: str = "glorot_normal"
+        self, rng: np.random.Generator, biases: str = "zero", output_weights: str = "glorot_normal"
     ) -> F32Array:
-        """Return initial parameters [D]. Weights of hidden layers are Glorot-normal."""
+        """Return initial parameters [D]. Weights of hidden layers are Glorot-normal.
+
+        `glorot_normal` biases are as in the authors' code: a bias vector of n has the standard deviation
+        sqrt(2 / (1 + n)). `zero` output weights are for linear policies, whose outputs random ones drive to the limits.
+        """
         parts: list[F32Array] = []
         for fan_in, fan_out in pairwise(self.sizes):
             weights = rng.standard_normal(fan_in * fan_out) * np.sqrt(2 / (fan_in + fan_out))
-            biases = rng.standard_normal(fan_out) * np.sqrt(2 / (1 + fan_out))
-            parts += [weights.astype(np.float32), (biases * (bias_initialisation != "zero")).astype(np.float32)]
-        if output_initialisation == "zero":
+            bias = rng.standard_normal(fan_out) * np.sqrt(2 / (1 + fan_out))
+            parts += [weights.astype(np.float32), (bias * (biases != "zero")).astype(np.float32)]
+        if output_weights == "zero":
             parts[-2:] = [np.zeros_like(part) for part in parts[-2:]]
         return np.concatenate(parts)
 

@@ -27,7 +27,7 @@ from shes.baselines.td3 import TD3, check_problem
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.settings import Settings
-from shes.types import CONTROLLER, BoolArray, F32Array, F64Array, IntArray
+from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 
 class HiroAgent(AgentBatch["HiroDesign"]):
@@ -54,7 +54,7 @@ class HiroAgent(AgentBatch["HiroDesign"]):
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self.rows(due)
-            output = self.levels[CONTROLLER].act(observation[rows], inputs.decision_noise, rows, due)
+            output = self.levels[0].act(observation[rows], inputs.decision_noise, rows, due)
             self._target[rows] = coordinates[rows] + output * self._limit
         self.clock += 1
         self._inputs[:, :size] = self._target - coordinates

@@ -31,12 +31,6 @@ from shes.types import IntArray
 _ENOUGH_ROWS = 3
 """Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all members,
 which costs more than it saves where a worker runs only a few episodes."""
-COMMON_RANDOM_NUMBERS = ("off", "group", "population")
-"""Which members share episode seeds: none, those of a mirrored group, or the whole population.
-
-Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the comparison
-within a group. In the authors' code every member draws its own seeds.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +92,11 @@ class Hyperparameters:
     perturbation: Perturbation = ManyToMany()
     """Which levels a generation perturbs (II-E)."""
     common_random_numbers: str = "group"
-    """Which members share episode seeds: `off`, `group` or `population`."""
+    """Which members share episode seeds: none (`off`), those of a mirrored `group`, or the whole `population`.
+
+    Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the
+    comparison within a group. In the authors' code every member draws its own seeds.
+    """
     statistics_fraction: float = 1.0
     """Fraction of the groups, chosen at random, whose observations enter the statistics.
 

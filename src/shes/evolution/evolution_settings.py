@@ -13,16 +13,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
-from shes.agents.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.algorithms.contract import Preset
-from shes.envs.bodies.body import SYMMETRIES
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import MIRRORINGS, PERTURBATIONS
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.evolution.estimates import COMMON_RANDOM_NUMBERS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
 
@@ -59,7 +56,7 @@ class EvolutionSettings(Settings):
     """Fitness shaping."""
     optimizer: Annotated[str, Choices(OPTIMIZERS, is_described=True)] = "adam"
     """Optimizer."""
-    common_random_numbers: Annotated[str, Choices(COMMON_RANDOM_NUMBERS)] = "group"
+    common_random_numbers: Literal["off", "group", "population"] = "group"
     """Which policies share episode seeds: off (none), group (those of a mirrored group) or population (all)."""
     statistics_fraction: Annotated[float, Ge(0), Le(1)] = 1.0
     """Fraction of the mirrored groups whose observations enter the observation statistics."""
@@ -84,9 +81,9 @@ class NetworkSettings(Settings):
 
     hidden: Annotated[tuple[int, ...], Ge(1), Example("64 64"), Shown(everyday=True)] = (32,)
     """Sizes of the hidden layers (paper: 256 256 256); without a number the policies are linear."""
-    biases: Annotated[str, Choices(BIAS_INITIALISATIONS)] = "zero"
+    biases: Literal["zero", "glorot_normal"] = "zero"
     """Initialisation of the biases."""
-    output_weights: Annotated[str, Choices(OUTPUT_INITIALISATIONS)] = "glorot_normal"
+    output_weights: Literal["glorot_normal", "zero"] = "glorot_normal"
     """Initialisation of the output layer; with zero the initial outputs are zero."""
     clock_frequency: Annotated[float, Gt(0)] | None = None
     """Frequency in Hz of a clock that the primitive (with es: the policy) observes; none for no clock."""
@@ -106,7 +103,7 @@ class PrimitiveSettings(Settings):
     """Intrinsic reward of the primitive (section II-B)."""
     primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
     """Values that the primitive observes in addition to its goal."""
-    symmetry: Annotated[str, Choices(SYMMETRIES), Needs("primitive_view", ("egocentric",))] = "none"
+    symmetry: Annotated[Literal["none", "rotation", "dihedral"], Needs("primitive_view", ("egocentric",))] = "none"
     """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
 
 

@@ -14,9 +14,6 @@ from shes.errors import ConfigError
 from shes.settings import Settings
 from shes.types import BoolArray, F64Array, IntArray
 
-SYMMETRIES = ("none", "rotation", "dihedral")
-"""Groups to choose from: `rotation` has the rotations, `dihedral` also the reflections."""
-
 
 def signed_permutation(source: Sequence[int], sign: Sequence[float]) -> F64Array:
     """Return the matrix [V, V] of `new[i] = sign[i] * old[source[i]]`."""
@@ -168,11 +165,6 @@ class Body(ABC):
     def num_qvel(self) -> int:
         """Number of generalised velocities."""
         return len(self.velocity)
-
-    @property
-    def num_controls(self) -> int:
-        """Number of controls, A."""
-        return len(self.controls)
 
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:

@@ -101,7 +101,7 @@ class Task(EpisodeBatch):
         self.body = self.robot = body
         self.options: Any = options  # of class `Options`; subclasses narrow the annotation
         self.num_episodes = num_episodes
-        self.action_size, self.control_limit = body.num_controls, body.control_limit
+        self.action_size, self.control_limit = len(body.controls), body.control_limit
         self.sim = simulator(self.build_world(body, options).compile(), num_episodes)
         self.xp, self.starts_together = self.sim.xp, self.sim.starts_together
         self.observation_names = tuple(element.name for element in self.observation_spec)
