@@ -26,8 +26,7 @@ import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
 from shes.envs.named_environments import ENVIRONMENTS, find_environment
-from shes.envs.tasks.task import FRAME_SKIP
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import FRAME_SKIP, TaskOptions
 from shes.evolution.algorithm import evolve
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.build import build_algorithm, build_backend

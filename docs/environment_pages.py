@@ -15,8 +15,7 @@ from PIL import Image
 from shes.drawing.renderer import CAMERAS
 from shes.envs.gymnasium_ids import MAX_EPISODE_STEPS, gymnasium_id
 from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.task import CONTROL_STEP_S, FRAME_SKIP, Task
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import CONTROL_STEP_S, FRAME_SKIP, Task, TaskOptions
 from shes.settings import setting_fields
 
 

@@ -19,7 +19,7 @@ from shes.cli import main
 from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.runs.config import known_settings
 from shes.settings import flag, setting_fields
 from tests.browser import find_browser, layout_faults

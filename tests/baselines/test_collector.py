@@ -8,7 +8,7 @@ import pytest
 
 from shes.baselines.collector import Actor
 from shes.envs.named_environments import make_task, register_external
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, DivergenceError
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from shes.envs.markers import POISON as POISON_COLOR
 from shes.envs.named_environments import make_task
-from shes.envs.tasks.task_options import FallOptions
+from shes.envs.tasks.task import FallOptions
 
 FAR_AWAY = 1000.0
 

@@ -12,8 +12,7 @@ from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.gymnasium_ids import SPECS_OF, register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
-from shes.envs.tasks.task import Task
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import Task, TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import Settings
 from tests.contracts.variants import VARIANTS

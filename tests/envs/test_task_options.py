@@ -9,7 +9,7 @@ import pytest
 import shes  # registers
 from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.tasks.target_task import MazeOptions
-from shes.envs.tasks.task_options import FallOptions
+from shes.envs.tasks.task import FallOptions
 from shes.errors import ConfigError
 from shes.settings import setting_fields
 

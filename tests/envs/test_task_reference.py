@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.named_environments import find_environment, make_task
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts import variants
 from tests.envs.reference_tasks import REFERENCES, yaw

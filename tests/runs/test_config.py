@@ -12,7 +12,7 @@ import pytest
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, ShapeError, UnknownNameError
 from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_options

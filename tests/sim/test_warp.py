@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.named_environments import ENVIRONMENTS
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError
 from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator, default_sizes

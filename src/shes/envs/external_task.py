@@ -21,8 +21,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external_reader import LARGEST, ExternalReader, Locate, find_physics
-from shes.envs.tasks.task import SimulatorFactory
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
 from shes.machine import resident_memory
 from shes.registry import full_name

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from shes.envs.bodies.body import Body, yaw
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
-from shes.envs.tasks.task import SimulatorFactory, Task
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
 from shes.errors import ConfigError, ShesError, UnknownNameError
 from shes.options import check_options
 from shes.registry import Registry, check_class

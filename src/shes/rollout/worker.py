@@ -13,8 +13,7 @@ from pathlib import Path
 from shes.agents.agent import AgentDesign
 from shes.backends.backend import TaskSource
 from shes.envs.named_environments import EnvironmentMaker
-from shes.envs.tasks.task import SimulatorFactory
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation

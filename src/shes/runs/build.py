@@ -15,7 +15,7 @@ from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.machine import free_memory, num_cores

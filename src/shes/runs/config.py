@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options

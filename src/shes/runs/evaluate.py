@@ -13,7 +13,7 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
 from shes.backends.backend import Backend
-from shes.envs.tasks.task_options import FallOptions
+from shes.envs.tasks.task import FallOptions
 from shes.errors import ConfigError
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
 from shes.rollout.roll_out import PopulationResults, lower_diverged, roll_out_tasks

@@ -13,7 +13,7 @@ from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
 from shes.envs.named_environments import Environment, find_environment
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.build import OpenedRun, check_asked_device, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section

@@ -10,8 +10,7 @@ import numpy as np
 
 from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.markers import TARGET, Marker
-from shes.envs.tasks.task import BodyReader, Task, TaskDescription
-from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
+from shes.envs.tasks.task import FURTHEST_M, BodyReader, FallOptions, Task, TaskDescription
 from shes.settings import Ge, Le, Shared
 from shes.types import BoolArray, F64Array, IntArray, to_host
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from shes.envs.bodies.body import Body, ObservationElement
 from shes.envs.markers import FOOD, POISON, Marker
-from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
-from shes.envs.tasks.task_options import FallOptions, TaskOptions
+from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, FallOptions, Task, TaskDescription, TaskOptions
 from shes.envs.worlds import add_square_walls, empty_world
 from shes.types import BoolArray, F64Array, IntArray, to_host
 

@@ -14,8 +14,7 @@ import numpy as np
 from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker
-from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Task, TaskDescription
-from shes.envs.tasks.task_options import Coordinates, FallOptions
+from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Coordinates, FallOptions, Task, TaskDescription
 from shes.envs.worlds import CELL_SIZE_M, WALL_HEIGHT_M, Grid, is_free
 from shes.errors import ConfigError
 from shes.settings import flag, out_of_range
