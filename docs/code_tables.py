@@ -70,7 +70,7 @@ def _sections(configs: Mapping[str, TrainConfig], without: Collection[str]) -> I
             continue
         rows = [
             (f"`{each.flag}`", each.text, *(_shown(config.values[each.name]) for config in configs.values()))
-            for each in map(first.setting, first.to_dict()[name])
+            for each in map(first.settings.__getitem__, first.to_dict()[name])
             if each.name not in ("env", "preset")
         ]
         title = (type(section).__doc__ or "").partition(".")[0]

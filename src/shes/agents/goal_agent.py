@@ -63,7 +63,6 @@ class Frames:
         self._own_control: IntArray = xp.zeros((num_robots, num_controls), dtype=np.int64)
         self._own_control_sign: F32Array = xp.zeros((num_robots, num_controls), dtype=np.float32)
         self._robots = xp.arange(num_robots)[:, None]
-        self.choose(slice(None), xp.asarray([[1.0, 0.0]] * num_robots))
 
     def choose(self, robots: slice | IntArray, vector: F64Array) -> None:
         """Choose the frames of `robots` for goals at `vector` [robots, 2] (ahead, left) in the robots' own frames."""
