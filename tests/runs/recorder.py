@@ -20,7 +20,6 @@ from shes.evolution import way_search
 from shes.evolution.state import TrainState
 from shes.rollout import worker
 from shes.rollout.episodes import Generation
-from shes.rollout.exploration import Exploration
 from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import evaluate_state
@@ -47,8 +46,7 @@ class Record(SimpleNamespace):
 @contextmanager
 def recording() -> Iterator[Record]:
     """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
-    record = Record(rolled_out=[], updates=[], noises=set(), device_simulators=[])
-    of_step = Exploration.of_step
+    record = Record(rolled_out=[], updates=[], device_simulators=[])
 
     class RecordedRollout(Rollout):
         def run(self, take: Any, generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
@@ -81,11 +79,6 @@ def recording() -> Iterator[Record]:
         record.updates.append(own)
         return result
 
-    def record_noise(exploration):
-        noises = of_step(exploration)
-        record.noises.update(noises)
-        return noises
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("shes.runs.config.num_cores", lambda: 1)
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
@@ -95,7 +88,6 @@ def recording() -> Iterator[Record]:
         patch.setattr("shes.algorithms.problem.WarpDevice", Device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
         patch.setattr("shes.evolution.algorithm.update_level", record_update)
-        patch.setattr(Exploration, "of_step", record_noise)
         yield record
 
 

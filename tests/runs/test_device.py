@@ -58,24 +58,6 @@ def stand_in(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
-    [
-        ({"backend": "processes"}, r"backend is 'processes', but one process serves device cuda\. Omit --backend"),
-        ({"num_workers": 4}, r"num_workers is 4, but one process serves device cuda\. Omit --workers, or set --dev"),
-        *(
-            ({"device": "cpu", name: 9}, rf"{name} is 9, but the CPU's .* no fixed buffers\. .*omit --{name}")
-            for name in ("nconmax", "njmax")
-        ),
-    ],
-)
-def test_what_does_nothing_on_the_device_is_refused(asked, message):
-    with pytest.raises(ConfigError, match=message):
-        make_config("point-gather", "smoke", {"device": "cuda", **asked})
-    for idle in ({"backend": "serial", "num_workers": 1}, {"num_workers": 0, "nconmax": None}):
-        assert make_config("point-gather", "smoke", {"device": "cuda", **idle}).workers.device == "cuda"
-
-
-@pytest.mark.parametrize(
     ("error", "message"),
     [
         (ConfigError("device cuda needs an NVIDIA card."), "needs an NVIDIA card"),

@@ -13,6 +13,7 @@ from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from tests.e2e import runs
+from tests.runs.recorder import recording
 
 EVERY = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1}
 ANT = {**EVERY, "population_size": 4, "evaluation_episodes": 2}
@@ -78,7 +79,10 @@ def values_of(path):
 def test_a_frozen_primitive_serves_every_task_of_its_robot(sources, tmp_path, task, source):
     """Two policies are a whole population: only the controller is mirrored."""
     spec, path = "hiro" if "hiro" in source else "shes", tmp_path / "run"
-    runs.train_tiny(path, f"ant-{task}", primitive=str(sources(source)), generations=2, population_size=2, spec=spec)
+    settings = {"generations": 2, "population_size": 2, "spec": spec, "primitive": str(sources(source))}
+    with recording() as record:
+        runs.train_tiny(path, f"ant-{task}", **settings)
+    assert all(each.generation.has_frozen_control for each in record.of("training"))  # it has no exploration noise
     config = RunFolder.open(path).read_config()
     assert (config.hierarchy.primitive_view, config.hierarchy.primitive_hidden) == ("proprioception", (5,))
     assert config.networks.hidden == (4,)
@@ -95,9 +99,12 @@ def test_a_frozen_primitive_serves_every_task_of_its_robot(sources, tmp_path, ta
 
 
 def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path, tiny_run):
-    settings = {"primitive": str(sources("point")), "freeze_primitive": False}
-    path = runs.train_tiny(tmp_path / "run", **settings, generations=2)
-    brought, start, end = level(sources("point"), "best"), level(path, "0"), level(path, "last")
+    settings = {"primitive": str(sources("point")), "freeze_primitive": False, "primitive_checkpoint": "2"}
+    with recording() as record:
+        path = runs.train_tiny(tmp_path / "run", **settings, generations=2)
+    assert not any(each.generation.has_frozen_control for each in record.rolled_out)
+    brought, start, end = level(sources("point"), "2"), level(path, "0"), level(path, "last")
+    assert not same(brought, level(sources("point"), "best"))
     assert same(start, brought)
     assert same(level(path, "0", "controller"), level(tiny_run, "0", "controller"))  # as it begins without
     assert not np.array_equal(end.theta, brought.theta)
