@@ -14,7 +14,6 @@ from shes.envs.gymnasium_ids import register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, ShapeError, UnknownNameError
-from shes.evolution.hyperparameters import learns
 from shes.runs.build import build_algorithm, build_options
 from shes.runs.config import TrainConfig, WorkerSettings
 from shes.runs.make_config import make_config
@@ -179,21 +178,6 @@ def test_a_task_has_no_option_with_the_name_of_another_setting(monkeypatch, name
     monkeypatch.setitem(ENVIRONMENTS, "point-mypush", Environment(Point, task))
     with pytest.raises(ConfigError, match=f"'{name}' {message}"):
         make_config("point-mypush", "smoke", {})
-
-
-@pytest.mark.parametrize(
-    ("env", "settings", "names", "learning"),
-    [
-        ("point-gather", {}, ("controller", "primitive"), (True, True)),
-        ("point-gather", {"algorithm": "es"}, ("policy",), (True,)),
-        ("point-flagrun", {}, ("primitive",), (True,)),
-        ("point-gather", {"primitive": "run"}, ("controller", "primitive"), (True, False)),
-        ("point-gather", {"primitive": "run", "freeze_primitive": False}, ("controller", "primitive"), (True, True)),
-    ],
-)
-def test_the_settings_say_which_levels_there_are_and_which_learn(env, settings, names, learning):
-    config = TrainConfig.of(env=env, **settings)
-    assert (config.level_names, learns(config)) == (names, learning)
 
 
 # Presets: what they start from, by numbers written down by hand.

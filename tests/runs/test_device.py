@@ -58,24 +58,31 @@ def stand_in(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "message"),
+    ("settings", "error", "message"),
     [
-        (ConfigError("device cuda needs an NVIDIA card."), "needs an NVIDIA card"),
-        (RuntimeError("Failed to allocate 1080 bytes on device 'cuda:0'"), "cuda has too little memory for a single"),
+        ({}, ConfigError("no cluster"), "no cluster"),
+        ({"device": "cuda"}, ConfigError("device cuda needs an NVIDIA card."), "needs an NVIDIA card"),
+        (
+            {"device": "cuda"},
+            RuntimeError("Failed to allocate 1080 bytes on device 'cuda:0'"),
+            "cuda has too little memory for a single",
+        ),
     ],
 )
-def test_an_unusable_device_is_an_error_that_changes_nothing(monkeypatch, tmp_path, run_copy, error, message):
+def test_workers_that_cannot_start_change_nothing(monkeypatch, tmp_path, tiny_run, run_copy, settings, error, message):
     def refuse(*_):
         raise error
 
     monkeypatch.setattr("shes.runs.build.simulator_factory", lambda *_: refuse)
+    monkeypatch.setattr("shes.runs.train.build_backend", refuse)
     before = record(run_copy)
     with pytest.raises(ConfigError, match=message):
-        shes.train("point-gather", preset="smoke", device="cuda", out=tmp_path / "run")
+        runs.train_tiny(tmp_path / "run", **settings)
     with pytest.raises(ConfigError, match=message):
-        shes.resume(run_copy, device="cuda", generations=5)
+        shes.resume(run_copy, generations=5, **settings)
     assert not (tmp_path / "run").exists()
     assert record(run_copy) == before
+    assert runs.differences(tiny_run, run_copy) == []
 
 
 def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):

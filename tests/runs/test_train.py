@@ -109,18 +109,3 @@ def test_a_row_has_steps_and_time_and_a_run_gives_warnings(tmp_path):
     seconds = np.diff(table["env_steps"], prepend=0) / table["env_steps_per_s"]
     assert (seconds >= 0.999 * (table["rollout_s"] + table["update_s"]) - 1e-3).all()
     assert (np.diff(table["wall_time_s"]) >= seconds[1:] + table["evaluation_s"][:-1] - 0.01)[:2].all()
-
-
-def test_a_run_whose_workers_cannot_start_leaves_nothing(tmp_path, tiny_run, run_copy, monkeypatch):
-    def refuse(*_):
-        raise ConfigError("no cluster")
-
-    record = (run_copy / "config.json").read_bytes()
-    monkeypatch.setattr("shes.runs.train.build_backend", refuse)
-    with pytest.raises(ConfigError, match="no cluster"):
-        runs.train_tiny(tmp_path / "new")
-    with pytest.raises(ConfigError, match="no cluster"):
-        shes.resume(run_copy, generations=5)
-    assert not (tmp_path / "new").exists()
-    assert (run_copy / "config.json").read_bytes() == record
-    assert runs.differences(tiny_run, run_copy) == []
