@@ -121,15 +121,12 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
 # Repetitions: runs on primitives of other runs are if their primitives are.
 
 
-def test_runs_whose_primitives_differ_in_the_seed_are_alike(transferred, copied, compared):
+def test_runs_whose_primitives_differ_in_the_seed_alone_are_alike(transferred, tmp_path, copied, compared):
     primitives = transferred / "flagrun" / "a"
     train_on(primitives / "seed-1", copied / "shared", seed=3)
     train_on(primitives / "seed-2", copied / "same", seed=3)  # of one seed, but of two primitives
     assert compared(copied) == 4
-
-
-def test_runs_on_a_primitive_of_another_length_are_none(transferred, tmp_path, copied, compared):
-    longer = shutil.copytree(transferred / "flagrun" / "a" / "seed-1", tmp_path / "longer")
+    longer = shutil.copytree(primitives / "seed-1", tmp_path / "longer")
     shes.resume(longer, generations=2)
     train_on(longer, copied / "on-longer", seed=3)
     with pytest.raises(ConfigError, match=r"differ in primitive's generations\."):

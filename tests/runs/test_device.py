@@ -7,7 +7,6 @@ import tracemalloc
 from importlib import metadata
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 import shes
@@ -17,10 +16,10 @@ from shes.evolution.estimates import draw_episodes
 from shes.evolution.strategies import SHES
 from shes.machine import num_cores
 from shes.rollout.roll_out import PopulationResults
-from shes.runs.build import build_algorithm, build_backend
+from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from shes.sim.simulator import CpuSimulator
 from tests.e2e import runs
+from tests.runs.recorder import recording
 
 
 def record(path):
@@ -38,23 +37,12 @@ def change_record(path, change):
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    """Let devices be there whose physics is that of the CPU; return what is told of each."""
+    """A record of devices whose physics is that of the CPU; its `facts` are what is told of each."""
     facts = {"cuda": {"name": "cuda", "card": "Card 1"}, "warp-cpu": {"name": "warp-cpu", "warp-lang": "1.19"}}
-
-    class Device:
-        def __init__(self, name):
-            self.facts = facts[name]
-
-        def release_memory(self):
-            pass
-
-    monkeypatch.setattr("shes.runs.build.simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr("shes.rollout.worker.simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr("shes.rollout.worker.RolloutWorker._most_lanes", lambda *_: 8)
-    monkeypatch.setattr("shes.rollout.worker.WarpDevice", Device)
-    monkeypatch.setattr("shes.runs.folder.WarpDevice", Device)
-    monkeypatch.setattr("shes.algorithms.problem.Problem.xp", np)
-    return facts
+    monkeypatch.setattr("shes.runs.folder.WarpDevice", lambda name: SimpleNamespace(facts=facts[name]))
+    with recording() as record:
+        record.facts = facts
+        yield record
 
 
 @pytest.mark.parametrize(
@@ -94,7 +82,7 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
     change_record(run_copy, age)
     for generation, settings in ((5, {}), (6, {"device": "cuda"}), (7, {}), (8, {}), (9, {"device": "cpu"})):
         if generation == 8:
-            stand_in["cuda"] = {"name": "cuda", "card": "Card 2"}
+            stand_in.facts["cuda"] = {"name": "cuda", "card": "Card 2"}
         shes.resume(run_copy, generations=generation, listener=SimpleNamespace(on_event=heard.append), **settings)
     found = record(run_copy)
     cards = [(part["generation"], part["device"].get("card")) for part in found["resumed"]]
@@ -107,20 +95,15 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
     assert "begins after generation 5 with 1 workers on device cuda" in log
 
 
-@pytest.mark.usefixtures("stand_in")
-def test_an_evaluation_is_on_the_cpu_unless_said(run_copy, monkeypatch):
+def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy):
     shes.resume(run_copy, device="cuda", nconmax=9, generations=5)
-    plans = []
-
-    def noted(config, plan, *rest):
-        plans.append((plan.device, plan.nconmax, plan.njmax))
-        return build_backend(config, plan, *rest)
-
-    monkeypatch.setattr("shes.runs.evaluate.build_backend", noted)
+    stand_in.device_simulators.clear()
     on_cpu = shes.evaluate(run_copy, episodes=2, num_workers=1)
+    assert stand_in.device_simulators == []
     on_device = shes.evaluate(run_copy, episodes=2, device="warp-cpu")
     shes.evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4)
-    assert plans == [("cpu", 9, None), ("warp-cpu", 9, None), ("warp-cpu", 5, 4)]
+    buffers = [(each["device"], each["nconmax"], each["njmax"]) for each in stand_in.device_simulators]
+    assert list(dict.fromkeys(buffers)) == [("warp-cpu", 9, None), ("warp-cpu", 5, 4)]
     assert on_cpu.summary() == on_device.summary()  # the stand-in's physics
     for asked, message in (({"device": "cuda", "num_workers": 2}, "num_workers is 2"), ({"njmax": 2}, "njmax is 2, b")):
         with pytest.raises(ConfigError, match=message):

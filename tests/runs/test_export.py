@@ -1,10 +1,11 @@
 """Exported agents act as ours: by NumPy bit-identically, by ONNX to float32 rounding."""
 
-import importlib.util
 import json
+import runpy
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -16,11 +17,8 @@ from shes.envs.gymnasium_ids import gymnasium_id
 from shes.errors import CheckpointError, ConfigError, MissingExtraError, StorageError
 from tests.e2e import runs
 
-_SPEC = importlib.util.spec_from_file_location(
-    "run_exported", Path(__file__).parents[2] / "examples" / "run_exported.py"
-)
-run_exported = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(run_exported)
+EXAMPLE = Path(__file__).parents[2] / "examples" / "run_exported.py"
+run_exported = SimpleNamespace(**runpy.run_path(str(EXAMPLE), run_name="run_exported"))
 
 EGOCENTRIC = {"primitive_view": "egocentric", "goal_encoding": "angle_metres"}
 FREE = {"minimum_goal_distance": False}

@@ -15,27 +15,9 @@ from shes.runs.tables import read_csv
 from tests.e2e import runs
 
 
-@pytest.fixture
-def find(monkeypatch):
-    """Return a function that makes the evaluations of generations 1, 2 and 4 find these (score, return)."""
-
-    def prepare(*found):
-        left = list(found)
-
-        def evaluate(*arguments):
-            score, mean_return = left.pop(0)
-            zeros = np.zeros(2)
-            names = ("primitive_returns", "goals_reached", "successes", "steps", "diverged")
-            return Evaluation(scores=zeros + score, returns=zeros + mean_return, **dict.fromkeys(names, zeros))
-
-        monkeypatch.setattr("shes.runs.recorder.evaluate_state", evaluate)
-
-    return prepare
-
-
 @pytest.mark.parametrize(
     ("found", "best"),
-    [
+    [  # scores and returns
         ([(3, 0), (2, 9), (1, 9)], 1),
         ([(1, 0), (2, 0), (3, 0)], 4),
         ([(3, 5), (3, 4), (0, 0)], 1),  # a tie goes to the higher return
@@ -43,8 +25,14 @@ def find(monkeypatch):
         ([(-3, 0), (-2, 0), (-9, 0)], 2),
     ],
 )
-def test_the_best_evaluation_is_kept_also_over_a_resume(tmp_path, find, found, best):
-    find(*found)
+def test_the_best_evaluation_is_kept_also_over_a_resume(tmp_path, monkeypatch, found, best):
+    names, left = ("primitive_returns", "goals_reached", "successes", "steps", "diverged"), iter(found)
+
+    def evaluate(*_):  # after generations 1, 2 and 4
+        scores, returns = (np.full(2, value) for value in next(left))
+        return Evaluation(scores=scores, returns=returns, **dict.fromkeys(names, np.zeros(2)))
+
+    monkeypatch.setattr("shes.runs.recorder.evaluate_state", evaluate)
     path = runs.train_tiny(tmp_path / "run", generations=2)
     run = shes.resume(path, generations=4)
     assert run.best.generation == best

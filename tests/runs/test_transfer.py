@@ -143,9 +143,7 @@ def test_both_levels_may_come_from_other_runs(sources):
 # What cannot be.
 
 TRAINED = "{} is {}, but LEVEL was trained with {}. Omit --{}: it comes with the"
-OTHER_ROBOT = (
-    "LEVEL does not fit .* it was trained on ant-flagrun for the ant, but .* has {}. Name a primitive of "
-)
+OTHER_ROBOT = "LEVEL does not fit .* it was trained on ant-flagrun for the ant, but .* has {}. Name a primitive of "
 MISFIT = r"LEVEL does not fit .*\.\n"
 REFUSED = [
     # The level; its run; the environment; further settings; the message.

@@ -74,11 +74,6 @@ def batches(read):
     return place
 
 
-def spread(batch):
-    """Return how far apart robots begin, as a share of reset noise 0.1."""
-    return round(float(np.abs(batch.sim.qpos).max()) / 0.1)
-
-
 def rules(name):
     """Return what reads an attribute of the rule of every update."""
     return lambda r: [getattr(update.rule, name) for update in r.updates]
@@ -130,11 +125,6 @@ def theta(read):
     return place
 
 
-def output_layer(parameters, policy):
-    """Return the parameters of the last layer."""
-    return parameters[-(policy.sizes[-2] + 1) * policy.sizes[-1] :]
-
-
 def goals_within(record, distance):
     """Tell whether the goals of branches that begin at a reset are within `distance`."""
     before = SimpleNamespace(results=SimpleNamespace(snapshots={}))
@@ -183,7 +173,7 @@ GROUPS: dict[str, Group] = {
         "evaluation_horizon": Row(12, lambda r: (longest(r), int(r.evaluation.steps.max())), (10, 12)),
         "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2),
         "integrator": Row("rk4", batches(lambda b: b.sim.model.opt.integrator), [1] * 2),
-        "reset_noise": Row(0.5, batches(spread), [5, 1]),
+        "reset_noise": Row(0.5, batches(lambda b: round(float(np.abs(b.sim.qpos).max()) / 0.1)), [5, 1]),
         "chunk_size": Row(8, lambda r: r.of("training")[0].rollout.num_lanes, 8),
         "seed": Row(9, lambda r: tasks(r)[0].seeds[0],
                     int(stream(9, Purpose.TRAINING_EPISODES, 0).integers(0, 2**63))),
@@ -209,7 +199,8 @@ GROUPS: dict[str, Group] = {
         "goal_encoding": Row("vector", designed("goal_encoding"), ["VectorEncoding"] * 2),
         "primitive_reward": Row("metres", designed("primitive_reward"), ["MetresReward"] * 2),
         "primitive_view": Row("proprioception", designed("primitive_view"), ["ColumnsView"] * 2),
-        "output_weights": Row("zero", theta(lambda *each: bool(output_layer(*each).any())), [False] * 2),
+        "output_weights": Row("zero", theta(lambda own, of: bool(own[-(of.sizes[-2] + 1) * of.sizes[-1]:].any())),
+                              [False] * 2),
         "fall_price": Row(3.0, rules("fall_price"), [0, 3]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
         "primitive_population_size": Row(12, num_members("branch"), 12),
@@ -232,13 +223,11 @@ GROUPS: dict[str, Group] = {
     "ties": Group({
         "rank_ties": Row("index", shaped_and_changed, [(True, True)] * 2),
     }, common={"horizon": 2}),  # too short for an apple: all controllers have the same fitness
-    "perturbation": Group({
+    "controller": Group({
         "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]]),
-    }, common=SHORT, generations=(0, 1)),
-    "network": Group({
         "controller_network": Row("equivariant", design(lambda d: type(d.controller.network).__name__),
                                   ["EquivariantMLP"]),
-    }, common={**SHORT, "controller_view": "sectors", "controller_output": "heading_direction"}),
+    }, common={**SHORT, "controller_view": "sectors", "controller_output": "heading_direction"}, generations=(0, 1)),
     "push": Group({
         "explore": Row("archive", lambda r: (bool(r.of("exploration")), bool(r.state.archive)), (True, True)),
         "explore_horizon": Row(
