@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 
 from shes.es.level import update_level
@@ -106,10 +105,7 @@ def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[
     with recording() as record:
         record.algorithm = algorithm = build_algorithm(config)
         start: TrainState = algorithm.start(config.run.seed)
-        others = psutil.Process().children()
         with build_backend(config, algorithm.plan()) as backend:
-            record.backend = type(backend).__name__
-            record.num_processes = len(set(psutil.Process().children()) - set(others))
             for generation in generations:
                 record.state = next(algorithm.run(replace(start, generation=generation), backend)).state
             record.evaluation = evaluate_state(algorithm, record.state, range(16), backend)

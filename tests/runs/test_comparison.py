@@ -78,7 +78,7 @@ def copied(transferred, tmp_path):
     return shutil.copytree(transferred / "gather" / "a", tmp_path / "all")
 
 
-def test_groups_are_compared_over_runs(transferred, capsys):
+def test_groups_are_compared_over_runs_single_runs_over_episodes(transferred, capsys):
     sides = [transferred / "gather" / side for side in ("a", "b")]
     given = {"episodes": 3, "num_workers": 1, "seed": 7, "checkpoint": "last"}
     found = compare_runs(*sides, measure="return", **given)
@@ -94,12 +94,9 @@ def test_groups_are_compared_over_runs(transferred, capsys):
     words = ["compare", *map(str, sides), "--episodes", "3", "--workers", "1", "--seed", "7", "--checkpoint", "last"]
     assert main([*words, "--measure", "return", "--json"]) == 0
     assert json.loads(capsys.readouterr().out).items() >= {"p": found.p, "low": found.low, "unit": "runs"}.items()
-
-
-def test_single_runs_are_compared_over_episodes(transferred, capsys):
-    one = transferred / "gather" / "a" / "seed-1"
-    found = compare_runs(one, one, episodes=4, num_workers=1)
-    assert (found.unit, found.first_count, found.difference, found.p) == ("episodes", 4, 0, 1)
+    one = sides[0] / "seed-1"
+    single = compare_runs(one, one, episodes=4, num_workers=1)
+    assert (single.unit, single.first_count, single.difference, single.p) == ("episodes", 4, 0, 1)
     assert main(["compare", str(one), str(one), "--episodes", "2", "--workers", "1"]) == 0
     assert "95 % interval [" in capsys.readouterr().out
 

@@ -96,14 +96,18 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
 
 
 def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy):
-    shes.resume(run_copy, device="cuda", nconmax=9, generations=5)
-    stand_in.device_simulators.clear()
+    def buffers():
+        found = [(each["device"], each["nconmax"], each["njmax"]) for each in stand_in.device_simulators]
+        stand_in.device_simulators.clear()
+        return list(dict.fromkeys(found))
+
+    shes.resume(run_copy, device="cuda", nconmax=9, njmax=7, generations=5)
+    assert buffers() == [("cuda", 9, 7)]
     on_cpu = shes.evaluate(run_copy, episodes=2, num_workers=1)
-    assert stand_in.device_simulators == []
+    assert buffers() == []
     on_device = shes.evaluate(run_copy, episodes=2, device="warp-cpu")
     shes.evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4)
-    buffers = [(each["device"], each["nconmax"], each["njmax"]) for each in stand_in.device_simulators]
-    assert list(dict.fromkeys(buffers)) == [("warp-cpu", 9, None), ("warp-cpu", 5, 4)]
+    assert buffers() == [("warp-cpu", 9, 7), ("warp-cpu", 5, 4)]
     assert on_cpu.summary() == on_device.summary()  # the stand-in's physics
     for asked, message in (({"device": "cuda", "num_workers": 2}, "num_workers is 2"), ({"njmax": 2}, "njmax is 2, b")):
         with pytest.raises(ConfigError, match=message):

@@ -1,4 +1,4 @@
-"""Where every setting of a run arrives: rollouts, updates, tasks, agents, workers, files.
+"""Where every setting of a run arrives: rollouts, updates, tasks, agents.
 
 Each group runs a tiny generation with several settings and one without them, records the two (`recorder`), and compares
 what was done. Settings of the run itself are read from its folder. A setting without a row fails.
@@ -119,8 +119,7 @@ def theta(read):
 
     def place(record):
         own = record.of("training")[0]
-        levels = zip(own.generation.levels, own.rollout.design.policies, strict=True)
-        return [read(level.theta, policy) for level, policy in levels]
+        return [read(*each) for each in zip(own.generation.levels, own.rollout.design.policies, strict=True)]
 
     return place
 
@@ -130,11 +129,6 @@ def goals_within(record, distance):
     before = SimpleNamespace(results=SimpleNamespace(snapshots={}))
     draws = draw_pairs(record.state, record.algorithm.hyperparameters, 1_000_000, (before,))
     return max(float(np.abs(task.start.goals).max()) for task in draws.tasks) <= distance
-
-
-def buffers(name):
-    """Return what reads an argument of all simulators of a device."""
-    return lambda r: {simulator[name] for simulator in r.device_simulators}
 
 
 SHORT = {"horizon": 10, "evaluation_horizon": 10}
@@ -166,7 +160,7 @@ GROUPS: dict[str, Group] = {
         "noise_table_size": Row(2_000_000, lambda r: r.of("training")[0].table.size, 2_000_000),
         "hidden": Row((5, 6), design(lambda d: d.policies[0].sizes[1:-1]), [(5, 6)]),
         "primitive_hidden": Row((3,), design(lambda d: d.policies[1].sizes[1:-1]), [(3,)]),
-        "biases": Row("glorot_normal", theta(lambda values, _: bool(np.all(values))), [True] * 2),
+        "biases": Row("glorot_normal", theta(lambda own, _: bool(np.all(own.theta))), [True] * 2),
         "minimum_goal_distance": Row(False, design(lambda d: d.controller.has_minimum_goal_distance), [False]),
         "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"]),
         "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"]),
@@ -199,7 +193,7 @@ GROUPS: dict[str, Group] = {
         "goal_encoding": Row("vector", designed("goal_encoding"), ["VectorEncoding"] * 2),
         "primitive_reward": Row("metres", designed("primitive_reward"), ["MetresReward"] * 2),
         "primitive_view": Row("proprioception", designed("primitive_view"), ["ColumnsView"] * 2),
-        "output_weights": Row("zero", theta(lambda own, of: bool(own[-(of.sizes[-2] + 1) * of.sizes[-1]:].any())),
+        "output_weights": Row("zero", theta(lambda own, of: bool(own.theta[-(of.sizes[-2] + 1) * of.sizes[-1]:].any())),
                               [False] * 2),
         "fall_price": Row(3.0, rules("fall_price"), [0, 3]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
@@ -255,15 +249,6 @@ GROUPS: dict[str, Group] = {
     "flagrun": Group({
         "horizon": Row(90, lambda r: r.state.running is not None, True),
     }, env="point-flagrun", common={"primitive_estimate": "interval"}),
-    "workers": Group({
-        "num_workers": Row(2, lambda r: r.num_processes, 2),
-        "backend": Row("processes", lambda r: r.backend, "ProcessesBackend"),
-    }, common=SHORT),
-    "device": Group({
-        "device": Row("warp-cpu", buffers("device"), {"warp-cpu"}),
-        "nconmax": Row(40, buffers("nconmax"), {40}),
-        "njmax": Row(50, buffers("njmax"), {50}),
-    }, common=SHORT),
 }  # fmt: skip
 
 
@@ -282,8 +267,9 @@ SHOWN = {
     *("env", "preset", "generations", "env_steps", "minutes", "algorithm"),
     *("evaluation_interval", "evaluation_episodes", "keep_checkpoints"),
     *("primitive", "primitive_checkpoint", "freeze_primitive", "controller"),
+    *("num_workers", "backend", "device", "nconmax", "njmax"),
 }
-"""Settings that show in the folder of a run: see `test_train`, `test_folder`, `test_tables` and `test_transfer`."""
+"""Settings that show in a run alone: see `test_train`, `test_tables`, `test_transfer`, `test_device` and tests/e2e."""
 
 
 def test_every_setting_has_a_row():
