@@ -66,11 +66,8 @@ def recording() -> Iterator[Record]:
             super().__init__(model, num_sims)
             record.device_simulators.append(arguments)
 
-    class Device:
-        xp = np
-
-        def __init__(self, name: str) -> None:
-            self.release_memory = lambda: None
+    def device(name: str) -> SimpleNamespace:
+        return SimpleNamespace(name=name, xp=np, release_memory=lambda: None)
 
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)
@@ -83,8 +80,8 @@ def recording() -> Iterator[Record]:
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)
-        patch.setattr(worker, "WarpDevice", Device)
-        patch.setattr("shes.algorithms.problem.WarpDevice", Device)
+        patch.setattr(worker, "WarpDevice", device)
+        patch.setattr("shes.algorithms.problem.WarpDevice", device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
         patch.setattr("shes.evolution.algorithm.update_level", record_update)
         yield record

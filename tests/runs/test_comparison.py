@@ -89,7 +89,6 @@ def test_groups_are_compared_over_runs_single_runs_over_episodes(transferred, ca
     assert (found.first_mean, found.second_mean) == (one.mean(), other.mean())
     assert found.difference == pytest.approx(other.mean() - one.mean())
     assert (found.low, found.high) == mean_difference_interval(one, other)
-    assert found.low <= found.difference <= found.high
     assert found.p >= 1 / 3  # the least that 2 and 2 runs can give
     words = ["compare", *map(str, sides), "--episodes", "3", "--workers", "1", "--seed", "7", "--checkpoint", "last"]
     assert main([*words, "--measure", "return", "--json"]) == 0
@@ -118,7 +117,7 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
 # Repetitions: runs on primitives of other runs are if their primitives are.
 
 
-def test_runs_whose_primitives_differ_in_the_seed_alone_are_alike(transferred, tmp_path, copied, compared):
+def test_runs_whose_primitives_differ_by_the_seed_are_alike(transferred, tmp_path, copied, compared):
     primitives = transferred / "flagrun" / "a"
     train_on(primitives / "seed-1", copied / "shared", seed=3)
     train_on(primitives / "seed-2", copied / "same", seed=3)  # of one seed, but of two primitives

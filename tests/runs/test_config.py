@@ -147,13 +147,9 @@ def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tm
         assert (each.options.corner_m, each.body.options.load_kg) == (3.0, 5.0)
 
 
-class Shy(own_classes.Corner):
-    def observe(self):
-        return super().observe()[:, :-1]
-
-
 def test_observations_that_their_spec_does_not_name_are_refused(monkeypatch):
-    monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Shy))
+    shy = type("Shy", (own_classes.Corner,), {"observe": lambda self: own_classes.Corner.observe(self)[:, :-1]})
+    monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, shy))
     message = r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change observation_spec"
     with pytest.raises(ShapeError, match=message):
         build_algorithm(make_config("point-corner", "smoke"))

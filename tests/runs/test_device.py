@@ -162,14 +162,11 @@ def fits(tmp_path, monkeypatch):
 SIZES = ["population_size", "episodes_per_policy", "evaluation_episodes", "horizon", "evaluation_horizon"]
 
 
-@pytest.mark.parametrize("settings", [{name: 10**12} for name in SIZES] + [{"num_workers": 60, "backend": "processes"}])
-def test_what_does_not_fit_the_memory_leaves_no_folder(fits, settings):
-    assert not fits(2 * 10**9, **{"population_size": 1000, **settings})
-
-
-@pytest.mark.parametrize("preset", ["smoke", "laptop"])
-def test_the_presets_fit_a_small_machine(fits, preset):
-    assert fits(2 * 10**9, "ant-gather", preset=preset, num_workers=8)
+def test_what_does_not_fit_the_memory_leaves_no_folder(fits):
+    for settings in (*({name: 10**12} for name in SIZES), {"num_workers": 60, "backend": "processes"}):
+        assert not fits(2 * 10**9, **{"population_size": 1000, **settings})
+    for preset in ("smoke", "laptop"):
+        assert fits(2 * 10**9, "ant-gather", preset=preset, num_workers=8)
 
 
 def test_the_estimate_covers_what_tasks_and_results_take(fits):

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from shes.agents.goal_agent import GoalAgent
+from shes.backends.backend import SerialBackend
 from shes.cli import main
 from shes.envs.bodies.point import Point
 from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.tasks.mazes import Maze
 from shes.errors import ConfigError
 from shes.evolution.strategies import EvolutionAlgorithm
-from shes.runs.evaluate import Evaluation, build_backend, evaluate
+from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.tables import read_csv
 from tests.e2e import runs
 from tests.runs.recorder import recording
@@ -98,13 +99,12 @@ def test_a_run_of_one_level_is_evaluated_by_what_it_has(tmp_path, env, settings,
 
 
 def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
-    def build(*arguments):
-        backend = build_backend(*arguments)
-        run = backend.map
-        monkeypatch.setattr(backend, "map", lambda tasks: (backend.on_event("worker 7 is silent"), run(tasks))[1])
-        return backend
+    def tell(backend, tasks):
+        backend.on_event("worker 7 is silent")
+        return run(backend, tasks)
 
-    monkeypatch.setattr("shes.runs.evaluate.build_backend", build)
+    run = SerialBackend.map
+    monkeypatch.setattr(SerialBackend, "map", tell)
     evaluate(tiny_run, episodes=2)
     assert [(each.levelname, each.message) for each in caplog.records] == [("WARNING", "worker 7 is silent")]
 
@@ -138,26 +138,18 @@ def walking(monkeypatch):
     monkeypatch.setattr(EvolutionAlgorithm, "parameters", parameters)
 
 
-@pytest.fixture
-def vectors(monkeypatch):
-    """Return the list of vectors to the goals [K, 2] of all decisions."""
-
+@pytest.mark.parametrize("output", ["vector", "heading_vector", "one_hot"])
+def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, monkeypatch, output, capsys):
     def act(agent, inputs):
         is_due = np.repeat(agent.clock % agent.design.controller_interval == 0, agent.rows_per_lane)
         controls = original(agent, inputs)
         if is_due.any():
-            found.append((agent.goal - inputs.position)[is_due])
+            vectors.append((agent.goal - inputs.position)[is_due])
         return controls
 
-    original, found = GoalAgent.act, []
-    monkeypatch.setattr(GoalAgent, "act", act)
-    return found
-
-
-@pytest.mark.parametrize("output", ["vector", "heading_vector", "one_hot"])
-def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, vectors, output, capsys):
     run = runs.train_tiny(tmp_path / "run", "point-maze", **MAZE, controller_output=output)
-    vectors.clear()
+    original, vectors = GoalAgent.act, []  # to the goals [K, 2] of all decisions
+    monkeypatch.setattr(GoalAgent, "act", act)
     assert main(["evaluate", str(run), "--episodes", "2", "--controller", "constant", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["controller"] == "constant: 90 degrees"
     ways = np.reshape(vectors, (9, 4, 2, 2))  # [controller, decision, episode, axis]

@@ -46,7 +46,6 @@ def test_wrong_arguments_are_refused(tiny_run):
 PLAYED = {
     "flat with clock": ("point-maze", {"algorithm": "es", "clock_frequency": 0.8}),
     "primitive alone": ("point-flagrun", {"controller_interval": 7, "goal_distance": 2.5}),
-    "ant's primitive": ("ant-flagrun", {"controller_interval": 7, "population_size": 4}),
     "controller and clock": ("point-push", {"clock_frequency": 0.8, "controller_interval": 6}),
 }
 

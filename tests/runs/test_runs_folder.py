@@ -122,9 +122,8 @@ def test_a_folder_in_use_or_of_other_settings_is_refused(begun, capsys):
     record = (begun / "runs.json").read_bytes()
     again = ["train", "point-gather", *runs.flags(**SEVERAL)]
     more = ("--out", begun, "--seed", "4", "5", "6")
-    assert "has run seed-4 with other settings: sigma is 0.07, not 0.5" in refused(
-        capsys, *again, *more, "--sigma", "0.5"
-    )
+    other = "has run seed-4 with other settings: sigma is 0.07, not 0.5"
+    assert other in refused(capsys, *again, *more, "--sigma", "0.5")
     with RunFolder(begun).lock():
         assert "is in use" in refused(capsys, *again, *more)
     assert (begun / "runs.json").read_bytes() == record

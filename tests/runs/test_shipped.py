@@ -67,7 +67,7 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(elsewhere):
 
 
 def test_a_shipped_agent_is_not_written_into():
-    run = AGENTS / "ant-walker"  # its name is tried in tests/test_cli.py
+    run = AGENTS / "ant-walker"  # its name is tried in tests/cli
     with pytest.raises(CheckpointError, match=r"agent ant-walker has only the checkpoint best, got 'last'\. Omit --"):
         shes.evaluate(run, checkpoint="last")
     with pytest.raises(RunFolderError, match=r"^ant-walker is a shipped agent.*--primitive ant-walker\. Or copy /"):

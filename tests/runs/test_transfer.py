@@ -67,11 +67,7 @@ def same(one, other):
     return counts and all(mine.tobytes() == theirs.tobytes() for mine, theirs in pairs)
 
 
-def values_of(path):
-    return RunFolder.open(path).read_config().values
-
-
-# Primitives.
+# What is brought.
 
 
 def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path, tiny_run):
@@ -117,7 +113,7 @@ def test_a_level_brings_what_it_was_trained_with(sources, tmp_path, source):
     origin = RunFolder.open(sources(source))
     with recording() as record:
         path = runs.train_tiny(tmp_path / "run", env, **{kind: origin.path, **asked}, generations=2)
-    assert values_of(path).items() >= {**expected, kind: str(origin.path)}.items()
+    assert RunFolder(path).read_config().values.items() >= {**expected, kind: str(origin.path)}.items()
     starts, ends = ({each.name: each for each in runs.state(path, checkpoint).levels} for checkpoint in ("0", "last"))
     brought = level(origin.path, "best", kind)
     assert same(starts[kind], brought)

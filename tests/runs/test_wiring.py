@@ -44,14 +44,9 @@ class Group(NamedTuple):
     generations: tuple[int, ...] = (0,)
 
 
-def kinds(record):
-    """Return the rollouts of training, then those of branches, if any: one of each."""
-    return [record.of(kind)[0] for kind in ("training", "branch") if record.of(kind)]
-
-
 def design(read):
     """Return what reads an attribute of the agents' design in training, and in branches, if any."""
-    return lambda r: [read(each.rollout.design) for each in kinds(r)]
+    return lambda r: [read(r.of(kind)[0].rollout.design) for kind in ("training", "branch") if r.of(kind)]
 
 
 def designed(name):
@@ -102,11 +97,6 @@ def num_members(kind="training"):
 def longest(record):
     """Return the number of steps of the longest episode of training."""
     return max(int(each.steps.max()) for each in record.of("training")[0].results)
-
-
-def shaped_and_changed(record):
-    """Return for every update whether any fitness was not 0, and whether any parameter changed."""
-    return [(bool(u.shaped.any()), not np.array_equal(u.before.theta, u.result.level.theta)) for u in record.updates]
 
 
 def perturbed(record):
@@ -212,10 +202,11 @@ GROUPS: dict[str, Group] = {
         "schedule_generations": Row(8, sigmas(), [0.2, 0.1, 0.05]),
     }, **SCHEDULED),
     "estimate": Group({
-        "primitive_estimate": Row("interval", lambda r: (len(kinds(r)), perturbed(r)), (2, [[1, 0]])),
+        "primitive_estimate": Row("interval", lambda r: (len(r.of("branch")), perturbed(r)), (1, [[1, 0]])),
     }, common={**SHORT, "primitive_view": "egocentric"}),
     "ties": Group({
-        "rank_ties": Row("index", shaped_and_changed, [(True, True)] * 2),
+        "rank_ties": Row("index", lambda r: [(bool(u.shaped.any()), (u.before.theta != u.result.level.theta).any())
+                                             for u in r.updates], [(True, True)] * 2),
     }, common={"horizon": 2}),  # too short for an apple: all controllers have the same fitness
     "controller": Group({
         "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]]),
