@@ -164,15 +164,11 @@ GROUPS: dict[str, Group] = {
     }, common={**SHORT, "reset_noise": 0.0}),
     "intervals": Group({
         "clock_frequency": Row(1.5, design(lambda d: d.clock and d.clock.frequency_hz), [1.5] * 2),
-        "controller_interval": Row(
-            7,
-            lambda r: (
-                design(lambda d: d.controller_interval)(r),
-                r.of("branch")[0].generation.branch_steps,
-                int(np.gcd.reduce([step for task in tasks(r) for step in task.snapshot_steps])),
-            ),
-            ([7, 7], 21, 7),
-        ),
+        "controller_interval": Row(7, lambda r: (
+            design(lambda d: d.controller_interval)(r),
+            r.of("branch")[0].generation.branch_steps,
+            int(np.gcd.reduce([step for task in tasks(r) for step in task.snapshot_steps])),
+        ), ([7, 7], 21, 7)),
         "intervals": Row(3, lambda r: (r.of("training")[0].generation.snapshot_goals,
                                        r.of("branch")[0].rollout.design.num_recorded_goals), (3, 3)),
         "horizon": Row(90, lambda r: (longest(r), max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)),
@@ -226,9 +222,8 @@ GROUPS: dict[str, Group] = {
         "evaluation_target": Row((2.0, 1.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [2, 1]),
     }, env="point-maze", common=SHORT),
     "targets": Group({
-        "target_sampling": Row(
-            "free_cells", lambda r: batches(lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True
-        ),
+        "target_sampling": Row("free_cells", lambda r: batches(
+            lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True),
     }, env="point-maze", common=SHORT),
     "ant": Group({
         "symmetry": Row("rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4]),
