@@ -11,7 +11,7 @@ PY := $(VENV)/bin/python
 # Two processes, each with whole files, so that a file's fixtures are made once.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile
 SOURCES := $(wildcard src tests benchmarks experiments examples docs)
-DEMO_COMMAND := .venv/bin/python -m shes.cli.demo
+DEMO_COMMAND := .venv/bin/shes demo
 # The Python that .venv is made of: `make setup PYTHON=/path/to/python3.12`. Empty: the first candidate that works.
 PYTHON :=
 CANDIDATES := python3.13 python3.12 python3.11 python3

@@ -6,6 +6,7 @@ import io
 import os
 import pkgutil
 import re
+import shutil
 import subprocess
 import sys
 from html import unescape
@@ -250,6 +251,20 @@ def test_the_python_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(example, "README.md", "exec"), {})  # noqa: S102 - our own README
     assert capsys.readouterr().out.splitlines()[-1] == "[1. 2. 3.]"
+
+
+def test_a_run_is_shared_as_its_page_says(tiny_run, tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(ROOT / "tests" / "stand_ins")
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(tiny_run, "runs/first")
+    assert main(["info", "runs/first", "--card"]) == 0
+    card = capsys.readouterr().out
+    Path("runs/first/README.md").write_text(card, encoding="utf-8")
+    (example,) = code_blocks(DOCS / "how-to" / "share.md", "python")
+    tiny = example.replace("episodes=20", "episodes=2, num_workers=1")
+    exec(compile(tiny, "share.md", "exec"), {})  # noqa: S102 - our own page
+    assert float(capsys.readouterr().out) > -9
+    assert Path("runs/theirs/README.md").read_text(encoding="utf-8") == card
 
 
 @pytest.mark.parametrize("name", ["README.md", "results/README.md"])

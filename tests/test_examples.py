@@ -56,3 +56,13 @@ def test_an_example_runs(path, tmp_path):
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert re.fullmatch(PRINTS[path.stem], done.stdout.splitlines()[-1]), done.stdout
+
+
+@pytest.mark.extras
+def test_trackio_takes_the_place_of_wandb(tmp_path):
+    text = (EXAMPLES[0].parent / "wandb_logging.py").read_text(encoding="utf-8")
+    (tmp_path / "logging_run.py").write_text(text.replace("import wandb", "import trackio as wandb"))
+    environment = {**os.environ, "PYTHONPATH": str(STAND_INS)}
+    command = [sys.executable, "logging_run.py"]
+    told = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
+    assert told.splitlines()[-1] == "logged 4 generations"

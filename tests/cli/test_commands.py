@@ -160,7 +160,7 @@ HANDED_ON = {
         "runs": ("run", "b"), "checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240,
         "steps": 50, "speed": 2.0, "sensors": True, "out": "b.mp4",
     },
-    "watch run --checkpoint 12 --seed 3": {"run": "run", "checkpoint": "12", "seed": 3},
+    "watch run --checkpoint 12 --seed 3e2": {"run": "run", "checkpoint": "12", "seed": 300},
     "report run b --out a.html --episodes 7 --seed 3 --workers 2 --no-video": {
         "runs": ("run", "b"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False, "out": "a.html",
     },

@@ -1,14 +1,12 @@
 """The demo, with a tiny run instead of minutes of training."""
 
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 import shes
-from shes.cli import demo
+from shes.cli import demo, main
 from shes.runs.folder import RunFolder
 from tests.e2e import runs
 
@@ -28,7 +26,8 @@ def test_runs_are_trained_compared_and_drawn(capsys, monkeypatch):
     monkeypatch.setitem(vars(shes), "plot", lambda _, path: path)  # before it imports Matplotlib
     monkeypatch.setattr(shes, "evaluate", partial(shes.evaluate, num_workers=1))
     walking = TINY._replace(name="walking", env="point-flagrun", column="returns", result="return")
-    assert demo.play("what happens", [walking, TINY]) == 0
+    monkeypatch.setitem(demo.DEMOS, "point", ("what happens", walking, TINY))
+    assert main(["demo", "point"]) == 0
     out = capsys.readouterr().out
     (folder,) = Path("runs").iterdir()
     for stage, given in zip((walking, TINY), drawn, strict=True):
@@ -52,14 +51,5 @@ def test_ctrl_c_names_the_folder_of_the_runs(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(shes, "train", interrupted)
-    assert demo.play("", [TINY]) == 130
-    assert "Stopped; the runs so far are in runs/demo-" in capsys.readouterr().out
-
-
-def test_nothing_slow_is_imported_before_ctrl_c_is_handled(monkeypatch, capsys):
-    code = "import sys, shes.cli.demo; print({'mujoco', 'scipy', 'matplotlib'} & sys.modules.keys())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
-    monkeypatch.setattr(sys, "argv", ["demo", "horse"])
-    assert demo.main() == 2
-    assert capsys.readouterr().err == "unknown robot 'horse'; there are demos of ant and point\n"
+    assert main(["demo"]) == 130
+    assert "\nStopped; the runs so far are in runs/demo-" in capsys.readouterr().out

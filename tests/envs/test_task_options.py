@@ -134,3 +134,12 @@ def test_a_tilt_costs_as_much_as_a_fall_in_hiro_training(evaluation, reward):
     task.reset(np.arange(1), [1])
     task.sim.qpos[:, 3:7] = [0, 1, 0, 0]  # on its back
     assert task.update_features().tolist() == [reward]
+
+
+def test_goals_of_flagrun_reach_the_goal_distance_on_all_sides():
+    task = make_task("point-flagrun", 300, ENVIRONMENTS["point-flagrun"].task.Options(goal_distance=2.0))
+    task.reset(np.arange(300), range(300))
+    offset = task.goal - task.position
+    assert (np.abs(offset).max(axis=0) <= 2).all()
+    assert (offset.min(axis=0) < -1.8).all()
+    assert (offset.max(axis=0) > 1.8).all()

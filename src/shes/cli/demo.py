@@ -1,22 +1,20 @@
-"""`make demo`: an ant learns to walk and then to collect food, with results and videos before and after training.
-
-`python -m shes.cli.demo point` does the same with a point robot. What takes seconds to import is imported where it is
-used, so that Ctrl-C before is no traceback.
-"""
+"""`shes demo`: a robot learns to collect food, with results and videos before and after training."""
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from time import monotonic
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import shes
-from shes.cli.program import INTERRUPTED, exit_code
 from shes.console import LineConsole
+from shes.runs.progress_display import drawing_progress, format_duration
 
 EPISODES = 50
 _GATHERING = {"camera": "top", "speed": 2.0}
@@ -64,18 +62,20 @@ DEMOS = {
 """The stages of each robot's demo, with the text printed before them."""
 
 
-def main() -> int:
-    """Run the demo in the working directory; return the exit code."""
-    robot = sys.argv[1] if len(sys.argv) > 1 else "ant"
-    if robot not in DEMOS:
-        print(f"unknown robot {robot!r}; there are demos of {' and '.join(DEMOS)}", file=sys.stderr)
-        return 2
+def demo(robot: Literal["ant", "point"] = "ant") -> None:
+    """Train a robot that collects food, in minutes, and draw it before and after training.
+
+    Everything is written below runs/ in the working directory.
+
+    Args:
+        robot: The ant learns to walk and then to collect food; the point moves by itself.
+    """
     text, *stages = DEMOS[robot]
-    return exit_code(lambda: play(text, stages))
+    play(text, stages)
 
 
-def play(text: str, stages: list[Stage]) -> int:
-    """Print `text`, train and evaluate the runs of `stages`, and draw them; return the exit code."""
+def play(text: str, stages: list[Stage]) -> None:
+    """Print `text`, train and evaluate the runs of `stages`, and draw them."""
     console, start = LineConsole(), monotonic()
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     console.print(text, highlight=False)
@@ -86,19 +86,17 @@ def play(text: str, stages: list[Stage]) -> int:
             primitive = {"primitive": folder / stage.name}
         for stage, episode in zip(stages, typical, strict=True):
             _draw(console, folder / stage.name, stage, episode)
-    except KeyboardInterrupt:
-        console.print_line(f"Stopped{f'; the runs so far are in {folder}' if folder.exists() else ''}.")
-        return INTERRUPTED
-    from shes.runs.progress_display import format_duration
-
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"Stopped{f'; the runs so far are in {folder}' if folder.exists() else ''}.")
+        raise
     last = folder / stages[-1].name
+    program = "shes" if shutil.which("shes") else os.path.relpath(Path(sys.executable).with_name("shes"))
     console.print_line(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
-        f"Next: .venv/bin/shes resume {last} --generations 200   (continues training)\n"
-        f"      .venv/bin/shes evaluate {last} --episodes 200\n"
-        "      .venv/bin/shes --help"
+        f"Next: {program} resume {last} --generations 200   (continues training)\n"
+        f"      {program} evaluate {last} --episodes 200\n"
+        f"      {program} --help"
     )
-    return 0
 
 
 def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[str, Any]) -> int:
@@ -118,8 +116,6 @@ def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[st
 
 def _draw(console: LineConsole, path: Path, stage: Stage, episode: int) -> None:
     """Draw curves, and a video of an episode before and after training, of the run at `path`, with live progress."""
-    from shes.runs.progress_display import drawing_progress
-
     console.print_line(f"Drawing the untrained and the trained agent {stage.name} ...")
     curves = shes.plot([path], path / "curves.png")
     video = path.with_suffix(".mp4")
@@ -127,7 +123,3 @@ def _draw(console: LineConsole, path: Path, stage: Stage, episode: int) -> None:
         shown = {"checkpoints": _BEFORE_AFTER, "episode": episode, "seed": _SEED, "size": 400, "on_step": on_step}
         shes.render(path, video, **shown, **stage.view)
     console.print_line(f"{stage.name}: {video}   curves: {curves}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -15,7 +15,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
@@ -265,3 +265,22 @@ def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
         return None
     words, value = ("none", "None"), None if info.type is NoneType else ()
     return PrimitiveConstructorSpec(1, "none", lambda _: value, lambda it: it == value, lambda _: ["none"], words)
+
+
+@_VALUES.primitive_rule
+def _whole_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Read a whole number also in the form 1e6."""
+    if info.type is not int:
+        return None
+    return PrimitiveConstructorSpec(
+        1, "INT", lambda words: _whole(words[0]), lambda it: type(it) is int, lambda it: [str(it)]
+    )
+
+
+def _whole(word: str) -> int:
+    with suppress(ValueError):
+        return int(word)
+    with suppress(ValueError):
+        if (number := float(word)).is_integer():  # neither infinity nor NaN
+            return int(number)
+    raise ValueError(f"{word} is not a whole number")

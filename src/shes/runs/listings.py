@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from shes.errors import ShesError
 from shes.runs.folder import RunFolder
+from shes.runs.model_card import model_card
 from shes.runs.shipped import read_agent, shipped_name, shipped_names
 from shes.runs.tables import read_csv
 from shes.types import Listing, Table, facts_listing
@@ -102,14 +103,18 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     return Listing({"runs": [asdict(run) for run in runs], "agents": shown}, parts)
 
 
-def describe_run(run: Path | str, *, full: bool = False) -> Listing:
+def describe_run(run: Path | str, *, full: bool = False, card: bool = False) -> Listing:
     """Show the state of a run, and with --full its settings; of a shipped agent its result and how it was trained.
 
     Args:
         run: The run folder, or the name of a shipped agent.
         full: Show all settings. JSON always has them.
+        card: Show a model card for the Hugging Face hub instead; scores are evaluated.
     """
     folder = RunFolder.open(run)
+    if card:
+        text = model_card(folder)
+        return Listing({"card": text}, [text])
     record, config = folder.read_record(), folder.read_config()
     levels, name = ", ".join(config.level_names), shipped_name(folder.path)
     parts: list[Table | str] = []

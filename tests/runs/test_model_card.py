@@ -1,0 +1,39 @@
+"""The model card states the scores of all controllers, seed, steps and command."""
+
+import re
+
+import pytest
+
+import shes
+from shes.cli import main
+from shes.runs import model_card
+from shes.runs.shipped import read_agent
+
+
+def test_the_card_of_a_shipped_agent_has_its_stored_scores(capsys):
+    assert main(["info", "ant-gather", "--card"]) == 0
+    text, agent = capsys.readouterr().out, read_agent("ant-gather")
+    for each in agent.evaluations:
+        assert f"| {each.controller} | {each.score} | {100 * each.success_rate:.0f} % |" in text
+    for expected in (f'value: "{agent.evaluation.score}"', f"{agent.env_steps:,} environment", agent.commands[-1]):
+        assert expected in text
+    assert "<video" not in text
+
+
+def test_the_card_of_a_run_has_scores_of_fresh_episodes(run_copy, monkeypatch, capsys):
+    monkeypatch.setattr(model_card, "EPISODES", 3)
+    (run_copy / "replay.mp4").touch()
+    assert main(["info", str(run_copy), "--card"]) == 0
+    text = capsys.readouterr().out
+    for name in ("trained", "constant", "random"):
+        found = shes.evaluate(run_copy, episodes=3, controller=name)
+        assert f"| {found.controller} | {found.scores.mean():.2f} ± " in text
+    assert re.search(
+        r"- seed \d+, [\d,]+ environment steps, \d+ generations\n- trained by `.+`\n\n<video .*replay", text
+    )
+
+
+@pytest.mark.extras
+def test_the_card_of_a_walker_has_a_single_score(capsys):
+    assert main(["info", "ant-walker", "--card"]) == 0
+    assert re.findall(r"^\| (\w+) \| \d+\.\d\d ± ", capsys.readouterr().out, flags=re.MULTILINE) == ["none"]
