@@ -47,16 +47,13 @@ class FormulaBackend(Backend):
     num_workers = 3
 
     def __init__(self, table, diverging=()):
-        self.table, self.diverging, self.generations, self.tasks = table, set(diverging), [], []
+        self.table, self.diverging, self.generations = table, set(diverging), []
 
     def broadcast(self, state):
         self.generations.append(state)
-        self.tasks.append([])
 
     def map(self, tasks):
-        for task in tasks:
-            self.tasks[-1].append(task)
-            yield self._results(task, self.generations[-1])
+        return (self._results(task, self.generations[-1]) for task in tasks)
 
     def _results(self, task, generation):
         k, episodes = len(task.slots), generation.episodes_per_policy
@@ -107,11 +104,6 @@ def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, di
     return backend, list(itertools.islice(evolve(state, settings, table, backend, pool), generations))
 
 
-def noise_of(report, table):
-    rows = zip(report.populations[0].noise_index, DIMS, strict=True)
-    return [[table.slice(i, dim) for i in row.tolist()] for row, dim in rows]
-
-
 def check_against_textbook(table, settings, generations=5, diverging=(), **options):
     """Compare a run with the textbook's; return its backend and its reports."""
     backend, reports = formula_run(table, generations, settings, diverging=diverging)
@@ -121,7 +113,8 @@ def check_against_textbook(table, settings, generations=5, diverging=(), **optio
     )  # fmt: skip
     for generation, report in enumerate(reports):
         book.sigma, book.rate = settings.sigma.value(generation), settings.learning_rate.value(generation)
-        noise, episodes = noise_of(report, table), settings.episodes_per_policy
+        rows, episodes = zip(report.populations[0].noise_index, DIMS, strict=True), settings.episodes_per_policy
+        noise = [[table.slice(i, dim) for i in row.tolist()] for row, dim in rows]
         paid = np.array([formula(*pair) for pair in book.candidates(noise)]).T[:, :, None]
         paid = paid + np.arange(episodes) - (episodes - 1) / 2
         for level in paid:  # a divergence counts as the worst of the others

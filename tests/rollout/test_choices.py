@@ -84,17 +84,7 @@ def test_one_hot_outputs_by_hand():
         assert math.remainder(authors - math.atan2(y, x), 2 * math.pi) == pytest.approx(1 / 8)
 
 
-class Polar(goals.ControllerOutput):
-    """A user's own: a bearing, and a distance."""
-
-    size = 2
-
-    def vector(self, output, heading, goal_distance):
-        angle = np.pi * output[:, 0] + heading
-        return goal_distance * output[:, 1:] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-class Three(Polar):
+class Three(goals.VectorOutput):
     size = 3
 
 
@@ -121,7 +111,7 @@ class Forgetful(Vector):
     size = 4
 
 
-class Sideways(Polar):
+class Sideways(goals.VectorOutput):
     def vector(self, output, heading, goal_distance):
         return super().vector(output, heading, goal_distance).T
 

@@ -28,16 +28,13 @@ WHOLE = {"primitive_estimate": "episode"}
 EGOCENTRIC = {**WHOLE, "primitive_view": "egocentric"}
 CHOICES = {
     "gather": ("point-gather", {}),
-    "ant": ("ant-gather", WHOLE),
-    "clock": ("point-maze", {"clock_frequency": 1.5}),
     "one-hot": ("point-push", {"controller_output": "one_hot", "minimum_goal_distance": True}),
     "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
     "vector": ("point-maze", {"goal_encoding": "vector", "primitive_reward": "negative_distance"}),
-    "metres": ("point-fall", {"goal_encoding": "angle_metres", "minimum_goal_distance": True}),
+    "metres": ("point-fall", {"goal_encoding": "angle_metres", "clock_frequency": 1.5}),
     "primitive alone": ("point-flagrun", {}),
-    "flat": ("point-gather", {"algorithm": "es"}),
-    "flat with a clock": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),
-    "one level in turns": ("point-gather", {"perturbation": "one_to_many"}),
+    "flat": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),
+    "one level in turns": ("point-gather", {"perturbation": "one_to_many", "statistics_fraction": 0.5}),
     "egocentric": (
         "ant-gather",
         {**EGOCENTRIC, "symmetry": "dihedral", "controller_network": "mlp", "controller_view": "egocentric",
@@ -50,7 +47,6 @@ CHOICES = {
     "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": ("ant-flagrun", {**EGOCENTRIC, "symmetry": "rotation", "max_tilt": 20.0}),
     "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0}),
-    "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
 }  # fmt: skip
 
 

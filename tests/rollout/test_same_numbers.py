@@ -17,7 +17,6 @@ from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.rollout.formula import bits
-from tests.rollout.workers import AnyWorker
 
 GENERATIONS = 3
 COMMON = {"population_size": 8, "horizon": 12, "hidden": (8,), "noise_table_size": 50_000}
@@ -56,7 +55,6 @@ CASES = {
     "running": ("point-flagrun", {"hidden": (12,), "population_size": 12, "horizon": 16, **BRANCHES}),
 }  # fmt: skip
 """The episodes of the last one are over after the second generation."""
-ON_PROCESSES = ("three episodes", "everything", "alone, schedules", "flat, schedules", "branches", "running")
 
 
 @lru_cache
@@ -83,20 +81,11 @@ def expected(case):
         return run(case, backend)
 
 
-# Of 8 members, 2 workers get whole policies, 3 workers also single episodes.
-@pytest.fixture(
-    scope="module", params=[pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.extras), 3]
-)
-def processes(request):
-    """Worker processes that run up to three members at a time."""
-    plans = [learner(case, 3).plan() for case in ON_PROCESSES]
-    with ProcessesBackend(partial(AnyWorker, plans), request.param) as backend:
-        yield backend
-
-
-@pytest.mark.parametrize("case", ON_PROCESSES)
-def test_the_number_of_worker_processes_changes_no_bit(case, processes):
-    assert bits(run(case, processes)) == bits(expected(case))
+@pytest.mark.parametrize("case", ["running", pytest.param("three episodes", marks=pytest.mark.extras)])
+def test_worker_processes_change_no_bit(case):
+    """More cases are in `e2e/test_same_numbers.py`."""
+    with ProcessesBackend(partial(RolloutWorker, learner(case, 3).plan()), 3) as backend:
+        assert bits(run(case, backend)) == bits(expected(case))
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -174,7 +174,6 @@ def strange():
         ("ant-maze", SECTORS, r"'sectors', but ant-maze has the ant, and no sensors .* Set --controller-view to"),
         ("own-maze", {"primitive_view": "egocentric"}, r"own-maze has an external robot.*Set --primitive-view to"),
         ("own-maze", {"controller_view": "egocentric"}, r"own-maze has an external robot.*Set --controller-view to"),
-        ("own-maze", {"primitive_view": "egocentric", "symmetry": "rotation"}, "own-maze has an external robot"),
         ("own-maze", {"controller_view": "position"}, r"'position', but own-maze .* observes no absolute position"),
     ],
 )
