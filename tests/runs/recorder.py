@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 
 from shes.es.level import update_level
@@ -20,7 +19,6 @@ from shes.evolution import way_search
 from shes.evolution.state import TrainState
 from shes.rollout import worker
 from shes.rollout.episodes import Generation
-from shes.rollout.exploration import Exploration
 from shes.rollout.lockstep import Rollout
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import evaluate_state
@@ -47,8 +45,7 @@ class Record(SimpleNamespace):
 @contextmanager
 def recording() -> Iterator[Record]:
     """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
-    record = Record(rolled_out=[], updates=[], noises=set(), device_simulators=[])
-    of_step = Exploration.of_step
+    record = Record(rolled_out=[], updates=[], device_simulators=[])
 
     class RecordedRollout(Rollout):
         def run(self, take: Any, generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
@@ -69,11 +66,8 @@ def recording() -> Iterator[Record]:
             super().__init__(model, num_sims)
             record.device_simulators.append(arguments)
 
-    class Device:
-        xp = np
-
-        def __init__(self, name: str) -> None:
-            self.release_memory = lambda: None
+    def device(name: str) -> SimpleNamespace:
+        return SimpleNamespace(name=name, xp=np, release_memory=lambda: None)
 
     def record_update(level, shaped, signs, noise_index, table, rule, learning_rate, pool):  # noqa: PLR0917 - its own
         result = update_level(level, shaped, signs, noise_index, table, rule, learning_rate, pool)
@@ -81,21 +75,15 @@ def recording() -> Iterator[Record]:
         record.updates.append(own)
         return result
 
-    def record_noise(exploration):
-        noises = of_step(exploration)
-        record.noises.update(noises)
-        return noises
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("shes.runs.config.num_cores", lambda: 1)
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)
-        patch.setattr(worker, "WarpDevice", Device)
-        patch.setattr("shes.algorithms.problem.WarpDevice", Device)
+        patch.setattr(worker, "WarpDevice", device)
+        patch.setattr("shes.algorithms.problem.WarpDevice", device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
         patch.setattr("shes.evolution.algorithm.update_level", record_update)
-        patch.setattr(Exploration, "of_step", record_noise)
         yield record
 
 
@@ -114,10 +102,7 @@ def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[
     with recording() as record:
         record.algorithm = algorithm = build_algorithm(config)
         start: TrainState = algorithm.start(config.run.seed)
-        others = psutil.Process().children()
         with build_backend(config, algorithm.plan()) as backend:
-            record.backend = type(backend).__name__
-            record.num_processes = len(set(psutil.Process().children()) - set(others))
             for generation in generations:
                 record.state = next(algorithm.run(replace(start, generation=generation), backend)).state
             record.evaluation = evaluate_state(algorithm, record.state, range(16), backend)

@@ -7,7 +7,6 @@ import tracemalloc
 from importlib import metadata
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 import shes
@@ -17,10 +16,10 @@ from shes.evolution.estimates import draw_episodes
 from shes.evolution.strategies import SHES
 from shes.machine import num_cores
 from shes.rollout.roll_out import PopulationResults
-from shes.runs.build import build_algorithm, build_backend
+from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from shes.sim.simulator import CpuSimulator
 from tests.e2e import runs
+from tests.runs.recorder import recording
 
 
 def record(path):
@@ -38,62 +37,40 @@ def change_record(path, change):
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    """Let devices be there whose physics is that of the CPU; return what is told of each."""
+    """A record of devices whose physics is that of the CPU; its `facts` are what is told of each."""
     facts = {"cuda": {"name": "cuda", "card": "Card 1"}, "warp-cpu": {"name": "warp-cpu", "warp-lang": "1.19"}}
-
-    class Device:
-        def __init__(self, name):
-            self.facts = facts[name]
-
-        def release_memory(self):
-            pass
-
-    monkeypatch.setattr("shes.runs.build.simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr("shes.rollout.worker.simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr("shes.rollout.worker.RolloutWorker._most_lanes", lambda *_: 8)
-    monkeypatch.setattr("shes.rollout.worker.WarpDevice", Device)
-    monkeypatch.setattr("shes.runs.folder.WarpDevice", Device)
-    monkeypatch.setattr("shes.algorithms.problem.Problem.xp", np)
-    return facts
+    monkeypatch.setattr("shes.runs.folder.WarpDevice", lambda name: SimpleNamespace(facts=facts[name]))
+    with recording() as record:
+        record.facts = facts
+        yield record
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("settings", "error", "message"),
     [
-        ({"backend": "processes"}, r"backend is 'processes', but one process serves device cuda\. Omit --backend"),
-        ({"num_workers": 4}, r"num_workers is 4, but one process serves device cuda\. Omit --workers, or set --dev"),
-        *(
-            ({"device": "cpu", name: 9}, rf"{name} is 9, but the CPU's .* no fixed buffers\. .*omit --{name}")
-            for name in ("nconmax", "njmax")
+        ({}, ConfigError("no cluster"), "no cluster"),
+        ({"device": "cuda"}, ConfigError("device cuda needs an NVIDIA card."), "needs an NVIDIA card"),
+        (
+            {"device": "cuda"},
+            RuntimeError("Failed to allocate 1080 bytes on device 'cuda:0'"),
+            "cuda has too little memory for a single",
         ),
     ],
 )
-def test_what_does_nothing_on_the_device_is_refused(asked, message):
-    with pytest.raises(ConfigError, match=message):
-        make_config("point-gather", "smoke", {"device": "cuda", **asked})
-    for idle in ({"backend": "serial", "num_workers": 1}, {"num_workers": 0, "nconmax": None}):
-        assert make_config("point-gather", "smoke", {"device": "cuda", **idle}).workers.device == "cuda"
-
-
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (ConfigError("device cuda needs an NVIDIA card."), "needs an NVIDIA card"),
-        (RuntimeError("Failed to allocate 1080 bytes on device 'cuda:0'"), "cuda has too little memory for a single"),
-    ],
-)
-def test_an_unusable_device_is_an_error_that_changes_nothing(monkeypatch, tmp_path, run_copy, error, message):
+def test_workers_that_cannot_start_change_nothing(monkeypatch, tmp_path, tiny_run, run_copy, settings, error, message):
     def refuse(*_):
         raise error
 
     monkeypatch.setattr("shes.runs.build.simulator_factory", lambda *_: refuse)
+    monkeypatch.setattr("shes.runs.train.build_backend", refuse)
     before = record(run_copy)
     with pytest.raises(ConfigError, match=message):
-        shes.train("point-gather", preset="smoke", device="cuda", out=tmp_path / "run")
+        runs.train_tiny(tmp_path / "run", **settings)
     with pytest.raises(ConfigError, match=message):
-        shes.resume(run_copy, device="cuda", generations=5)
+        shes.resume(run_copy, generations=5, **settings)
     assert not (tmp_path / "run").exists()
     assert record(run_copy) == before
+    assert runs.differences(tiny_run, run_copy) == []
 
 
 def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
@@ -105,7 +82,7 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
     change_record(run_copy, age)
     for generation, settings in ((5, {}), (6, {"device": "cuda"}), (7, {}), (8, {}), (9, {"device": "cpu"})):
         if generation == 8:
-            stand_in["cuda"] = {"name": "cuda", "card": "Card 2"}
+            stand_in.facts["cuda"] = {"name": "cuda", "card": "Card 2"}
         shes.resume(run_copy, generations=generation, listener=SimpleNamespace(on_event=heard.append), **settings)
     found = record(run_copy)
     cards = [(part["generation"], part["device"].get("card")) for part in found["resumed"]]
@@ -118,20 +95,19 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
     assert "begins after generation 5 with 1 workers on device cuda" in log
 
 
-@pytest.mark.usefixtures("stand_in")
-def test_an_evaluation_is_on_the_cpu_unless_said(run_copy, monkeypatch):
-    shes.resume(run_copy, device="cuda", nconmax=9, generations=5)
-    plans = []
+def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy):
+    def buffers():
+        found = [(each["device"], each["nconmax"], each["njmax"]) for each in stand_in.device_simulators]
+        stand_in.device_simulators.clear()
+        return list(dict.fromkeys(found))
 
-    def noted(config, plan, *rest):
-        plans.append((plan.device, plan.nconmax, plan.njmax))
-        return build_backend(config, plan, *rest)
-
-    monkeypatch.setattr("shes.runs.evaluate.build_backend", noted)
+    shes.resume(run_copy, device="cuda", nconmax=9, njmax=7, generations=5)
+    assert buffers() == [("cuda", 9, 7)]
     on_cpu = shes.evaluate(run_copy, episodes=2, num_workers=1)
+    assert buffers() == []
     on_device = shes.evaluate(run_copy, episodes=2, device="warp-cpu")
     shes.evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4)
-    assert plans == [("cpu", 9, None), ("warp-cpu", 9, None), ("warp-cpu", 5, 4)]
+    assert buffers() == [("warp-cpu", 9, 7), ("warp-cpu", 5, 4)]
     assert on_cpu.summary() == on_device.summary()  # the stand-in's physics
     for asked, message in (({"device": "cuda", "num_workers": 2}, "num_workers is 2"), ({"njmax": 2}, "njmax is 2, b")):
         with pytest.raises(ConfigError, match=message):
@@ -186,14 +162,11 @@ def fits(tmp_path, monkeypatch):
 SIZES = ["population_size", "episodes_per_policy", "evaluation_episodes", "horizon", "evaluation_horizon"]
 
 
-@pytest.mark.parametrize("settings", [{name: 10**12} for name in SIZES] + [{"num_workers": 60, "backend": "processes"}])
-def test_what_does_not_fit_the_memory_leaves_no_folder(fits, settings):
-    assert not fits(2 * 10**9, **{"population_size": 1000, **settings})
-
-
-@pytest.mark.parametrize("preset", ["smoke", "laptop"])
-def test_the_presets_fit_a_small_machine(fits, preset):
-    assert fits(2 * 10**9, "ant-gather", preset=preset, num_workers=8)
+def test_what_does_not_fit_the_memory_leaves_no_folder(fits):
+    for settings in (*({name: 10**12} for name in SIZES), {"num_workers": 60, "backend": "processes"}):
+        assert not fits(2 * 10**9, **{"population_size": 1000, **settings})
+    for preset in ("smoke", "laptop"):
+        assert fits(2 * 10**9, "ant-gather", preset=preset, num_workers=8)
 
 
 def test_the_estimate_covers_what_tasks_and_results_take(fits):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from shes.agents.goal_agent import GoalAgent
+from shes.backends.backend import SerialBackend
 from shes.cli import main
 from shes.envs.bodies.point import Point
 from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.tasks.target_task import Maze
 from shes.errors import ConfigError
 from shes.evolution.strategies import EvolutionAlgorithm
-from shes.runs.evaluate import Evaluation, build_backend, evaluate
-from shes.runs.folder import RunFolder
+from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.tables import read_csv
 from tests.e2e import runs
 from tests.runs.recorder import recording
@@ -46,36 +46,27 @@ def test_fewer_episodes_are_the_first_and_a_seed_chooses_others(tiny_run):
             result = evaluate(tiny_run, episodes=episodes, num_workers=1, seed=seed, checkpoint=checkpoint)
         return result, record.seeds("evaluation")
 
+    before = {path: path.read_bytes() for path in tiny_run.rglob("*") if path.is_file()}
     (few, of_few), (many, of_many), (one, of_one), (again, of_again) = found(3), found(5), found(5, 1), found(5, 1, "0")
     assert all(np.array_equal(getattr(few, name), getattr(many, name)[:3]) for name in ARRAYS)
     assert of_few == of_many[:3]
     assert of_again == of_one != of_many  # the same episodes for every checkpoint
     assert same(one, found(5, 1)[0])
+    assert same(found(5, 1, "4")[0], found(5, 1, "last")[0])
     assert not same(one, again)
     assert not same(one, many)
-
-
-def test_targets_of_training_may_be_asked_for(tmp_path):
-    # Training's target is far: nobody comes nearer than 200 m to it, or further than 50 m from evaluation's.
-    run = runs.train_tiny(tmp_path / "run", "point-maze", target=(0.0, 300.0), evaluation_target=(0.0, 1.0))
-    one, other = (evaluate(run, episodes=4, targets=targets) for targets in ("evaluation", "training"))
-    assert other.returns.max() < 20 * -200
-    assert one.returns.min() > 20 * -50
+    assert {path: path.read_bytes() for path in tiny_run.rglob("*") if path.is_file()} == before
 
 
 def test_the_targets_of_training_come_without_its_falls(tmp_path):
-    run = runs.train_tiny(tmp_path / "run", "ant-maze", max_tilt=0.5, generations=1)
+    # Training's target is far: nobody comes nearer than 200 m to it, or further than 50 m from evaluation's.
+    targets = {"target": (0.0, 300.0), "evaluation_target": (0.0, 1.0)}
+    run = runs.train_tiny(tmp_path / "run", "ant-maze", max_tilt=0.5, generations=1, **targets)
     assert np.mean(read_csv(run / "progress.csv")["terminated_rate"]) > 0.5
-    found = evaluate(run, episodes=3, targets="training")
-    assert set(found.steps) == {RunFolder(run).read_config().episodes.horizon}
-
-
-def test_checkpoints_are_evaluated_apart_and_nothing_is_written(tiny_run):
-    before = {path: path.read_bytes() for path in tiny_run.rglob("*") if path.is_file()}
-    first, last, fourth = (evaluate(tiny_run, episodes=4, checkpoint=name) for name in ("0", "last", "4"))
-    assert not same(first, last)
-    assert same(fourth, last)
-    assert {path: path.read_bytes() for path in tiny_run.rglob("*") if path.is_file()} == before
+    one, other = (evaluate(run, episodes=3, targets=targets) for targets in ("evaluation", "training"))
+    assert set(one.steps) == set(other.steps) == {20}
+    assert other.returns.max() < 20 * -200
+    assert one.returns.min() > 20 * -50
 
 
 def test_a_summary_holds_means_and_deviations():
@@ -108,13 +99,12 @@ def test_a_run_of_one_level_is_evaluated_by_what_it_has(tmp_path, env, settings,
 
 
 def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
-    def build(*arguments):
-        backend = build_backend(*arguments)
-        run = backend.map
-        monkeypatch.setattr(backend, "map", lambda tasks: (backend.on_event("worker 7 is silent"), run(tasks))[1])
-        return backend
+    def tell(backend, tasks):
+        backend.on_event("worker 7 is silent")
+        return run(backend, tasks)
 
-    monkeypatch.setattr("shes.runs.evaluate.build_backend", build)
+    run = SerialBackend.map
+    monkeypatch.setattr(SerialBackend, "map", tell)
     evaluate(tiny_run, episodes=2)
     assert [(each.levelname, each.message) for each in caplog.records] == [("WARNING", "worker 7 is silent")]
 
@@ -148,26 +138,18 @@ def walking(monkeypatch):
     monkeypatch.setattr(EvolutionAlgorithm, "parameters", parameters)
 
 
-@pytest.fixture
-def vectors(monkeypatch):
-    """Return the list of vectors to the goals [K, 2] of all decisions."""
-
+@pytest.mark.parametrize("output", ["vector", "heading_vector", "one_hot"])
+def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, monkeypatch, output, capsys):
     def act(agent, inputs):
         is_due = np.repeat(agent.clock % agent.design.controller_interval == 0, agent.rows_per_lane)
         controls = original(agent, inputs)
         if is_due.any():
-            found.append((agent.goal - inputs.position)[is_due])
+            vectors.append((agent.goal - inputs.position)[is_due])
         return controls
 
-    original, found = GoalAgent.act, []
-    monkeypatch.setattr(GoalAgent, "act", act)
-    return found
-
-
-@pytest.mark.parametrize("output", ["vector", "heading_vector", "one_hot"])
-def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, vectors, output, capsys):
     run = runs.train_tiny(tmp_path / "run", "point-maze", **MAZE, controller_output=output)
-    vectors.clear()
+    original, vectors = GoalAgent.act, []  # to the goals [K, 2] of all decisions
+    monkeypatch.setattr(GoalAgent, "act", act)
     assert main(["evaluate", str(run), "--episodes", "2", "--controller", "constant", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["controller"] == "constant: 90 degrees"
     ways = np.reshape(vectors, (9, 4, 2, 2))  # [controller, decision, episode, axis]
@@ -177,6 +159,9 @@ def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, vectors
     for own, name in zip(angles[1:], NAMES[1:], strict=True):
         difference = own - math.radians(int(name.split()[0]))
         assert np.abs((difference + np.pi) % (2 * np.pi) - np.pi).max() < 0.2  # the heading is up to 0.1 rad off
+    vectors.clear()
+    assert evaluate(run, episodes=3, controller="random").controller == "random"
+    assert np.hypot(*np.concatenate(vectors).T) == pytest.approx(np.full(12, 4.0))  # of 4 decisions in 3 episodes
     if output == "one_hot":  # the first of its eight directions
         assert (ways[0] < 0).all()
     else:
@@ -203,14 +188,3 @@ def test_the_highest_score_counts_then_the_return_then_the_first(tmp_path, walki
     monkeypatch.setattr(Contrary, "pays", pays)
     run = runs.train_tiny(tmp_path / "run", "point-contrary", **{**MAZE, "evaluation_target": (0.0, 300.0)})
     assert evaluate(run, episodes=2, controller="constant").controller.startswith(f"constant: {best}")
-
-
-@pytest.mark.parametrize(("controller", "noises"), [("random", {"decision_noise"}), ("trained", set())])
-def test_only_random_goals_are_drawn_and_at_full_distance(tmp_path, vectors, controller, noises):
-    run = runs.train_tiny(tmp_path / "run", "point-maze", **MAZE)
-    vectors.clear()
-    with recording() as record:
-        assert evaluate(run, episodes=3, seed=4, controller=controller).controller == controller
-    assert record.noises == noises
-    x, y = np.concatenate(vectors).T  # of 4 decisions in 3 episodes
-    assert (np.hypot(x, y) == pytest.approx(np.full(12, 4.0))) == (controller == "random")

@@ -30,10 +30,8 @@ def test_the_record_says_what_the_run_is_and_what_made_it(run_copy, monkeypatch)
     monkeypatch.setattr("sys.argv", ["/here/experiments/__main__.py", "fig3"])
     shes.resume(run_copy, generations=6, keep_checkpoints=3)
     record = json.loads((run_copy / "config.json").read_text())
-    assert record["config"]["networks"]["hidden"] == [4]
     assert record["versions"]["numpy"] == np.__version__
     assert record["machine"]["processor"]
-    assert record["machine"]["cores"] >= 1
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", record["started"])
     commands = [entry["command"] for entry in record["resumed"]]  # no path of this machine
     assert commands == [["shes", "resume"], ["python", "-m", "experiments", "fig3"]]

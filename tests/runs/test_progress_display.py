@@ -81,13 +81,13 @@ def test_a_terminal_shows_everything_within_its_width(clock, width):
     assert set(bar) <= set("━╸╺")
 
 
-def test_without_a_terminal_a_line_comes_every_ten_seconds(clock):
+def test_without_a_terminal_a_line_comes_every_ten_seconds(clock, monkeypatch):
     console = plain(width=40)
     play(console, clock, generations=40)
     first, *lines = console.export_text().splitlines()
     assert first.endswith("Run folder: runs/a")
-    shown = [int(line.split()[1]) for line in lines if line.startswith("generation")]
-    assert shown == [1, 6, 11, 16, 21, 26, 31, 36, 40]
+    shown = [line for line in lines if line.startswith("generation")]
+    assert [int(line.split()[1]) for line in shown] == [1, 6, 11, 16, 21, 26, 31, 36, 40]
     assert lines[0] == (
         "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.34 (best 98.76)  "
         "evaluation score -  env steps/s 23,457 (0.0 M so far)  time left -"
@@ -95,14 +95,10 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(clock):
     assert lines[-1].endswith("time left 0 s")
     assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
     assert "\x1b" not in console.file.getvalue()
-
-
-def test_a_dumb_terminal_shows_a_line_for_every_generation(clock, monkeypatch):
-    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setenv("TERM", "dumb")  # a terminal that cannot redraw shows every generation
     console = terminal(80)
     play(console, clock)
-    shown = [int(line.split()[1]) for line in console.file.getvalue().splitlines() if line.startswith("generation")]
-    assert shown == list(range(1, 13))
+    assert [console.file.getvalue().count(f"generation {number} / 40") for number in range(1, 13)] == [1] * 12
 
 
 def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):

@@ -33,20 +33,6 @@ def refused(capsys, *words):
     return " ".join(capsys.readouterr().err.split())
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Folder of three runs that nothing happened to. Not to be changed."""
-    path = tmp_path_factory.mktemp("whole") / "all"
-    assert train(path, "--seed", "4", "5", "6") == 0
-    return path
-
-
-def test_each_seed_is_an_ordinary_run(whole, tiny_run):
-    assert generations(whole) == {"seed-4": 4, "seed-5": 4, "seed-6": 4}
-    assert runs.differences(tiny_run, whole / "seed-5") == []
-    assert RunFolder(whole / "seed-6").read_config().run.seed == 6
-
-
 def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path, capsys):
     swept = read_sweep(["sigma=0.02,0.5", "controller_interval=7,9"])
     found = vary("point-gather", "smoke", {}, [1, 2], swept)
@@ -61,7 +47,7 @@ def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path, capsys):
     assert generations(tmp_path / "all") == {"sigma-0.02/seed-1": 1, "sigma-0.5/seed-1": 1}
 
 
-def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole, monkeypatch, capsys):
+def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, tiny_run, monkeypatch, capsys):
     path, words, heard = tmp_path / "all", ("--seed", "4", "5", "6"), []
 
     def interrupt(display, row):
@@ -79,8 +65,9 @@ def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole,
         assert generations(path) == {"seed-4": 4, "seed-5": 4, "seed-6": 1}
     assert main(["resume", str(path)]) == 0
     assert (path / "seed-4" / "log.txt").read_bytes() == first
-    for name in ("seed-4", "seed-5", "seed-6"):
-        assert runs.differences(whole / name, path / name) == []
+    assert generations(path) == {"seed-4": 4, "seed-5": 4, "seed-6": 4}
+    assert RunFolder(path / "seed-6").read_config().run.seed == 6
+    assert runs.differences(tiny_run, path / "seed-5") == []  # each seed is an ordinary run
     assert train(path, *words) == 0  # nothing is left
     assert "all 3 runs of" in refused(capsys, "resume", path)
 
@@ -135,9 +122,8 @@ def test_a_folder_in_use_or_of_other_settings_is_refused(begun, capsys):
     record = (begun / "runs.json").read_bytes()
     again = ["train", "point-gather", *runs.flags(**SEVERAL)]
     more = ("--out", begun, "--seed", "4", "5", "6")
-    assert "has run seed-4 with other settings: sigma is 0.07, not 0.5" in refused(
-        capsys, *again, *more, "--sigma", "0.5"
-    )
+    other = "has run seed-4 with other settings: sigma is 0.07, not 0.5"
+    assert other in refused(capsys, *again, *more, "--sigma", "0.5")
     with RunFolder(begun).lock():
         assert "is in use" in refused(capsys, *again, *more)
     assert (begun / "runs.json").read_bytes() == record
@@ -145,19 +131,16 @@ def test_a_folder_in_use_or_of_other_settings_is_refused(begun, capsys):
     assert "is a file" in refused(capsys, *again, "--out", begun / "runs.json", "--seed", "4", "5")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda record: record | {"format": 9}, "has no runs in format 1"),
-        (lambda record: record | {"runs": {}}, "has no runs in format 1"),
-        (lambda record: [record], "cannot be read"),
-    ],
-)
-def test_a_damaged_record_is_one_clear_error(tmp_path, begun, change, message):
-    file = tmp_path / "runs.json"
-    file.write_text(json.dumps(change(json.loads((begun / "runs.json").read_text()))))
-    with pytest.raises(RunFolderError, match=f"{message}.*Restore it from a copy"):
-        RunsFolder.open(tmp_path)
+def test_a_damaged_record_is_one_clear_error(tmp_path, begun):
+    record, file = json.loads((begun / "runs.json").read_text()), tmp_path / "runs.json"
+    for damaged, message in (
+        (record | {"format": 9}, "has no runs in format 1"),
+        (record | {"runs": {}}, "has no runs in format 1"),
+        ([record], "cannot be read"),
+    ):
+        file.write_text(json.dumps(damaged))
+        with pytest.raises(RunFolderError, match=f"{message}.*Restore it from a copy"):
+            RunsFolder.open(tmp_path)
 
 
 def test_values_are_read_as_their_setting_needs():
@@ -216,29 +199,21 @@ def test_places_differ_even_where_values_cannot_be_file_names():
     assert all("/" not in name.partition("/")[2] and " " not in name for name in found)
 
 
-def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
-    (tmp_path / "other.json").write_text("{}")
+def test_runs_are_found_in_natural_order_and_one_is_named(tmp_path, tiny_run):
+    folder = tmp_path / "point-gather" / "sigma-0.5"
     for seed in (10, 9, 1):
-        path = tmp_path / "sigma-0.5" / f"seed-{seed}"
-        path.mkdir(parents=True)
-        for file in ("config.json", "progress.csv"):
-            (path / file).write_bytes((tiny_run / file).read_bytes())
-    assert [run.path.name for run in find_runs(tmp_path)] == ["seed-1", "seed-9", "seed-10"]
-    assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
-    with pytest.raises(RunFolderError, match="is not a run folder"):
-        find_runs(tmp_path / "other.json")
-
-
-def test_a_folder_of_runs_where_one_is_needed_names_one(tmp_path, tiny_run):
-    names = [f"point-gather/methods/published/seed-{seed}" for seed in (2, 10)]
-    for name in names:
-        shutil.copytree(tiny_run, tmp_path / name)
+        shutil.copytree(tiny_run, folder / f"seed-{seed}")
     (tmp_path / "model").mkdir()
     for place in (tmp_path, tmp_path / "model"):
         (place / ".lock").touch()  # as of a study
     (tmp_path / "model" / "config.json").write_text("{}")  # of another program
-    with pytest.raises(RunFolderError, match=f"is a folder of 2 runs: give one of them, such as .*/{names[0]}"):
+    assert [run.path.name for run in find_runs(tmp_path)] == ["seed-1", "seed-9", "seed-10"]
+    assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
+    with pytest.raises(RunFolderError, match="is not a run folder"):
+        find_runs(tmp_path / "model" / "config.json")
+    with pytest.raises(RunFolderError, match=f"is a folder of 3 runs: give one of them, such as {folder}/seed-1"):
         RunFolder.open(tmp_path)
-    shutil.rmtree(tmp_path / names[1])
-    with pytest.raises(RunFolderError, match=f"is no run folder, but there is one below it: give .*/{names[0]}"):
+    for seed in (9, 10):
+        shutil.rmtree(folder / f"seed-{seed}")
+    with pytest.raises(RunFolderError, match=f"is no run folder, but there is one below it: give {folder}/seed-1"):
         RunFolder.open(tmp_path)

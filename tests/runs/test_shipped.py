@@ -41,15 +41,12 @@ def test_a_name_is_found_and_a_path_wins_over_it(elsewhere, run_copy):
     assert shes.load("ant-gather").config.run.env == "point-gather"
 
 
-def test_what_is_no_agent_is_refused_by_saying_why(elsewhere):
+def test_what_is_no_agent_is_refused_by_saying_why(elsewhere, monkeypatch):
     with pytest.raises(RunFolderError, match=r"A pathlib\.Path is always a path: .*give the string 'ant-walker'\.$"):
         shes.load(Path("ant-walker"))
     Path("ant-walker").mkdir()
     with pytest.raises(RunFolderError, match=r"no config\.json\. .*It hides the shipped agent ant-walker: rename it"):
         shes.load("ant-walker")
-
-
-def test_where_no_agent_is_shipped_nothing_is_said_of_them(elsewhere, monkeypatch):
     monkeypatch.setattr(shipped, "AGENTS", elsewhere / "nowhere")
     with pytest.raises(RunFolderError, match=r"^gone does not exist\. .*\(its --out\)\.$"):
         shes.load("gone")
@@ -70,7 +67,7 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(elsewhere):
 
 
 def test_a_shipped_agent_is_not_written_into():
-    run = AGENTS / "ant-walker"  # its name is tried in tests/test_cli.py
+    run = AGENTS / "ant-walker"  # its name is tried in tests/cli
     with pytest.raises(CheckpointError, match=r"agent ant-walker has only the checkpoint best, got 'last'\. Omit --"):
         shes.evaluate(run, checkpoint="last")
     with pytest.raises(RunFolderError, match=r"^ant-walker is a shipped agent.*--primitive ant-walker\. Or copy /"):

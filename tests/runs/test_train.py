@@ -15,27 +15,9 @@ from shes.runs.tables import read_csv
 from tests.e2e import runs
 
 
-@pytest.fixture
-def find(monkeypatch):
-    """Return a function that makes the evaluations of generations 1, 2 and 4 find these (score, return)."""
-
-    def prepare(*found):
-        left = list(found)
-
-        def evaluate(*arguments):
-            score, mean_return = left.pop(0)
-            zeros = np.zeros(2)
-            names = ("primitive_returns", "goals_reached", "successes", "steps", "diverged")
-            return Evaluation(scores=zeros + score, returns=zeros + mean_return, **dict.fromkeys(names, zeros))
-
-        monkeypatch.setattr("shes.runs.recorder.evaluate_state", evaluate)
-
-    return prepare
-
-
 @pytest.mark.parametrize(
     ("found", "best"),
-    [
+    [  # scores and returns
         ([(3, 0), (2, 9), (1, 9)], 1),
         ([(1, 0), (2, 0), (3, 0)], 4),
         ([(3, 5), (3, 4), (0, 0)], 1),  # a tie goes to the higher return
@@ -43,8 +25,14 @@ def find(monkeypatch):
         ([(-3, 0), (-2, 0), (-9, 0)], 2),
     ],
 )
-def test_the_best_evaluation_is_kept_also_over_a_resume(tmp_path, find, found, best):
-    find(*found)
+def test_the_best_evaluation_is_kept_also_over_a_resume(tmp_path, monkeypatch, found, best):
+    names, left = ("primitive_returns", "goals_reached", "successes", "steps", "diverged"), iter(found)
+
+    def evaluate(*_):  # after generations 1, 2 and 4
+        scores, returns = (np.full(2, value) for value in next(left))
+        return Evaluation(scores=scores, returns=returns, **dict.fromkeys(names, np.zeros(2)))
+
+    monkeypatch.setattr("shes.runs.recorder.evaluate_state", evaluate)
     path = runs.train_tiny(tmp_path / "run", generations=2)
     run = shes.resume(path, generations=4)
     assert run.best.generation == best
@@ -109,18 +97,3 @@ def test_a_row_has_steps_and_time_and_a_run_gives_warnings(tmp_path):
     seconds = np.diff(table["env_steps"], prepend=0) / table["env_steps_per_s"]
     assert (seconds >= 0.999 * (table["rollout_s"] + table["update_s"]) - 1e-3).all()
     assert (np.diff(table["wall_time_s"]) >= seconds[1:] + table["evaluation_s"][:-1] - 0.01)[:2].all()
-
-
-def test_a_run_whose_workers_cannot_start_leaves_nothing(tmp_path, tiny_run, run_copy, monkeypatch):
-    def refuse(*_):
-        raise ConfigError("no cluster")
-
-    record = (run_copy / "config.json").read_bytes()
-    monkeypatch.setattr("shes.runs.train.build_backend", refuse)
-    with pytest.raises(ConfigError, match="no cluster"):
-        runs.train_tiny(tmp_path / "new")
-    with pytest.raises(ConfigError, match="no cluster"):
-        shes.resume(run_copy, generations=5)
-    assert not (tmp_path / "new").exists()
-    assert (run_copy / "config.json").read_bytes() == record
-    assert runs.differences(tiny_run, run_copy) == []

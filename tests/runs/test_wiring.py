@@ -1,11 +1,10 @@
-"""Where every setting of a run arrives: rollouts, updates, tasks, agents, workers, files.
+"""Where every setting of a run arrives: rollouts, updates, tasks, agents.
 
 Each group runs a tiny generation with several settings and one without them, records the two (`recorder`), and compares
 what was done. Settings of the run itself are read from its folder. A setting without a row fails.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from itertools import groupby
 from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
@@ -19,8 +18,6 @@ from shes.envs.tasks.target_task import Maze
 from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
 from shes.runs.config import known_settings
-from shes.runs.folder import RunFolder
-from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.streams import Purpose, stream
 from tests.e2e import runs
@@ -47,14 +44,9 @@ class Group(NamedTuple):
     generations: tuple[int, ...] = (0,)
 
 
-def kinds(record):
-    """Return the rollouts of training, then those of branches, if any: one of each."""
-    return [record.of(kind)[0] for kind in ("training", "branch") if record.of(kind)]
-
-
 def design(read):
     """Return what reads an attribute of the agents' design in training, and in branches, if any."""
-    return lambda r: [read(each.rollout.design) for each in kinds(r)]
+    return lambda r: [read(r.of(kind)[0].rollout.design) for kind in ("training", "branch") if r.of(kind)]
 
 
 def designed(name):
@@ -75,11 +67,6 @@ def batches(read):
         return found
 
     return place
-
-
-def spread(batch):
-    """Return how far apart robots begin, as a share of reset noise 0.1."""
-    return round(float(np.abs(batch.sim.qpos).max()) / 0.1)
 
 
 def rules(name):
@@ -112,11 +99,6 @@ def longest(record):
     return max(int(each.steps.max()) for each in record.of("training")[0].results)
 
 
-def shaped_and_changed(record):
-    """Return for every update whether any fitness was not 0, and whether any parameter changed."""
-    return [(bool(u.shaped.any()), not np.array_equal(u.before.theta, u.result.level.theta)) for u in record.updates]
-
-
 def perturbed(record):
     """Return which levels are perturbed in every generation, by any member."""
     return [np.abs([s for t in each.tasks for s in t.signs]).max(axis=0).tolist() for each in record.of("training")]
@@ -127,15 +109,9 @@ def theta(read):
 
     def place(record):
         own = record.of("training")[0]
-        levels = zip(own.generation.levels, own.rollout.design.policies, strict=True)
-        return [read(level.theta, policy) for level, policy in levels]
+        return [read(*each) for each in zip(own.generation.levels, own.rollout.design.policies, strict=True)]
 
     return place
-
-
-def output_layer(parameters, policy):
-    """Return the parameters of the last layer."""
-    return parameters[-(policy.sizes[-2] + 1) * policy.sizes[-1] :]
 
 
 def goals_within(record, distance):
@@ -143,11 +119,6 @@ def goals_within(record, distance):
     before = SimpleNamespace(results=SimpleNamespace(snapshots={}))
     draws = draw_pairs(record.state, record.algorithm.hyperparameters, 1_000_000, (before,))
     return max(float(np.abs(task.start.goals).max()) for task in draws.tasks) <= distance
-
-
-def buffers(name):
-    """Return what reads an argument of all simulators of a device."""
-    return lambda r: {simulator[name] for simulator in r.device_simulators}
 
 
 SHORT = {"horizon": 10, "evaluation_horizon": 10}
@@ -170,54 +141,37 @@ GROUPS: dict[str, Group] = {
         "learning_rate": Row(0.45, learning_rates, [0.45]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
         "fall_price": Row(2.0, rules("fall_price"), [0, 2]),
-        "mirrored": Row(
-            "pair", lambda r: num_members()(r) / len({task.noise_index for task in tasks(r)}), 2
-        ),
-        "fitness_shaping": Row(
-            "pair_rank", lambda r: [type(u.rule.shaping).__name__ for u in r.updates], ["PairRanks"] * 2
-        ),
+        "mirrored": Row("pair", lambda r: num_members()(r) / len({task.noise_index for task in tasks(r)}), 2),
+        "fitness_shaping": Row("pair_rank", lambda r: [type(u.rule.shaping).__name__ for u in r.updates],
+                               ["PairRanks"] * 2),
         "optimizer": Row("sgd", lambda r: [[*u.result.level.optimizer.slots] for u in r.updates], [["velocity"]] * 2),
         "common_random_numbers": Row("population", lambda r: len({*r.seeds("training")}), 3),
-        "statistics_fraction": Row(
-            0.25, lambda r: r.state.levels[-1].statistics.count / r.state.env_steps < 0.5, True
-        ),
+        "statistics_fraction": Row(0.25, lambda r: r.state.levels[-1].statistics.count / r.state.env_steps < 0.5, True),
         "noise_table_size": Row(2_000_000, lambda r: r.of("training")[0].table.size, 2_000_000),
         "hidden": Row((5, 6), design(lambda d: d.policies[0].sizes[1:-1]), [(5, 6)]),
         "primitive_hidden": Row((3,), design(lambda d: d.policies[1].sizes[1:-1]), [(3,)]),
-        "biases": Row("glorot_normal", theta(lambda values, _: bool(np.all(values))), [True] * 2),
+        "biases": Row("glorot_normal", theta(lambda own, _: bool(np.all(own.theta))), [True] * 2),
         "minimum_goal_distance": Row(False, design(lambda d: d.controller.has_minimum_goal_distance), [False]),
         "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"]),
         "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"]),
-        "evaluation_horizon": Row(
-            12, lambda r: (longest(r), int(r.evaluation.steps.max())), (10, 12)
-        ),
+        "evaluation_horizon": Row(12, lambda r: (longest(r), int(r.evaluation.steps.max())), (10, 12)),
         "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2),
         "integrator": Row("rk4", batches(lambda b: b.sim.model.opt.integrator), [1] * 2),
-        "reset_noise": Row(0.5, batches(spread), [5, 1]),
+        "reset_noise": Row(0.5, batches(lambda b: round(float(np.abs(b.sim.qpos).max()) / 0.1)), [5, 1]),
         "chunk_size": Row(8, lambda r: r.of("training")[0].rollout.num_lanes, 8),
-        "seed": Row(
-            9, lambda r: tasks(r)[0].seeds[0], int(stream(9, Purpose.TRAINING_EPISODES, 0).integers(0, 2**63))
-        ),
+        "seed": Row(9, lambda r: tasks(r)[0].seeds[0],
+                    int(stream(9, Purpose.TRAINING_EPISODES, 0).integers(0, 2**63))),
     }, common={**SHORT, "reset_noise": 0.0}),
     "intervals": Group({
         "clock_frequency": Row(1.5, design(lambda d: d.clock and d.clock.frequency_hz), [1.5] * 2),
-        "controller_interval": Row(
-            7,
-            lambda r: (
-                design(lambda d: d.controller_interval)(r),
-                r.of("branch")[0].generation.branch_steps,
-                int(np.gcd.reduce([step for task in tasks(r) for step in task.snapshot_steps])),
-            ),
-            ([7, 7], 21, 7),
-        ),
-        "intervals": Row(
-            3, lambda r: (
-                r.of("training")[0].generation.snapshot_goals, r.of("branch")[0].rollout.design.num_recorded_goals
-            ), (3, 3),
-        ),
-        "horizon": Row(
-            90, lambda r: (longest(r), max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)
-        ),
+        "controller_interval": Row(7, lambda r: (
+            design(lambda d: d.controller_interval)(r),
+            r.of("branch")[0].generation.branch_steps,
+            int(np.gcd.reduce([step for task in tasks(r) for step in task.snapshot_steps])),
+        ), ([7, 7], 21, 7)),
+        "intervals": Row(3, lambda r: (r.of("training")[0].generation.snapshot_goals,
+                                       r.of("branch")[0].rollout.design.num_recorded_goals), (3, 3)),
+        "horizon": Row(90, lambda r: (longest(r), max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)),
         "goal_distance": Row(
             2.5, lambda r: (r.of("training")[0].rollout.design.controller.goal_distance, goals_within(r, 2.5)),
             (2.5, True),
@@ -225,7 +179,8 @@ GROUPS: dict[str, Group] = {
         "goal_encoding": Row("vector", designed("goal_encoding"), ["VectorEncoding"] * 2),
         "primitive_reward": Row("metres", designed("primitive_reward"), ["MetresReward"] * 2),
         "primitive_view": Row("proprioception", designed("primitive_view"), ["ColumnsView"] * 2),
-        "output_weights": Row("zero", theta(lambda *each: bool(output_layer(*each).any())), [False] * 2),
+        "output_weights": Row("zero", theta(lambda own, of: bool(own.theta[-(of.sizes[-2] + 1) * of.sizes[-1]:].any())),
+                              [False] * 2),
         "fall_price": Row(3.0, rules("fall_price"), [0, 3]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
         "primitive_population_size": Row(12, num_members("branch"), 12),
@@ -243,21 +198,17 @@ GROUPS: dict[str, Group] = {
         "schedule_generations": Row(8, sigmas(), [0.2, 0.1, 0.05]),
     }, **SCHEDULED),
     "estimate": Group({
-        "primitive_estimate": Row("interval", lambda r: (len(kinds(r)), perturbed(r)), (2, [[1, 0]])),
+        "primitive_estimate": Row("interval", lambda r: (len(r.of("branch")), perturbed(r)), (1, [[1, 0]])),
     }, common={**SHORT, "primitive_view": "egocentric"}),
     "ties": Group({
-        "rank_ties": Row(
-            "index", shaped_and_changed, [(True, True)] * 2
-        ),
+        "rank_ties": Row("index", lambda r: [(bool(u.shaped.any()), (u.before.theta != u.result.level.theta).any())
+                                             for u in r.updates], [(True, True)] * 2),
     }, common={"horizon": 2}),  # too short for an apple: all controllers have the same fitness
-    "perturbation": Group({
+    "controller": Group({
         "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]]),
-    }, common=SHORT, generations=(0, 1)),
-    "network": Group({
-        "controller_network": Row(
-            "equivariant", design(lambda d: type(d.controller.network).__name__), ["EquivariantMLP"]
-        ),
-    }, common={**SHORT, "controller_view": "sectors", "controller_output": "heading_direction"}),
+        "controller_network": Row("equivariant", design(lambda d: type(d.controller.network).__name__),
+                                  ["EquivariantMLP"]),
+    }, common={**SHORT, "controller_view": "sectors", "controller_output": "heading_direction"}, generations=(0, 1)),
     "push": Group({
         "explore": Row("archive", lambda r: (bool(r.of("exploration")), bool(r.state.archive)), (True, True)),
         "explore_horizon": Row(
@@ -265,37 +216,25 @@ GROUPS: dict[str, Group] = {
         ),
         "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7]),
     }, env="point-push", common={**SHORT, "primitive_view": "egocentric", "controller_interval": 5}),
-    "way": Group({
-        "waypoints": Row((-8.0, 8.0), batches(lambda b: b._num_waypoints), [1, 0]),
-    }, env="point-push", common=SHORT),
     "maze": Group({
+        "waypoints": Row((8.0, 0.0), batches(lambda b: b._num_waypoints), [1, 0]),
         "target": Row((1.0, 2.0), lambda r: batches(lambda b: np.unique(b.target, axis=0).tolist())(r)[0], [[1, 2]]),
         "evaluation_target": Row((2.0, 1.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [2, 1]),
     }, env="point-maze", common=SHORT),
     "targets": Group({
-        "target_sampling": Row(
-            "free_cells", lambda r: batches(lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True
-        ),
+        "target_sampling": Row("free_cells", lambda r: batches(
+            lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True),
     }, env="point-maze", common=SHORT),
     "ant": Group({
         "symmetry": Row("rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4]),
         "max_tilt": Row(60.0, batches(lambda b: b._min_cos_tilt and round(b._min_cos_tilt, 9)), [0.5, None]),
     }, env="ant-gather", common=BRIEF),
-    "flagrun": Group({
-        "horizon": Row(90, lambda r: r.state.running is not None, True),
-    }, env="point-flagrun", common={"primitive_estimate": "interval"}),
     "contacts": Group({
         "stiff_contacts": Row(True, batches(lambda b: set(b.sim.model.geom_solimp[:, 0])), [{0.995}] * 2),
     }, env="point-flagrun", common=SHORT),
-    "workers": Group({
-        "num_workers": Row(2, lambda r: r.num_processes, 2),
-        "backend": Row("processes", lambda r: r.backend, "ProcessesBackend"),
-    }, common=SHORT),
-    "device": Group({
-        "device": Row("warp-cpu", buffers("device"), {"warp-cpu"}),
-        "nconmax": Row(40, buffers("nconmax"), {40}),
-        "njmax": Row(50, buffers("njmax"), {50}),
-    }, common=SHORT),
+    "flagrun": Group({
+        "horizon": Row(90, lambda r: r.state.running is not None, True),
+    }, env="point-flagrun", common={"primitive_estimate": "interval"}),
 }  # fmt: skip
 
 
@@ -310,57 +249,18 @@ def test_settings_arrive_where_they_are_used(name):
     assert [each for each, row in group.rows.items() if row.place(usual) == row.expected] == []
 
 
-def test_the_primitive_of_the_agent_acts_in_branches():
-    alone = record_generations("point-flagrun", GROUPS["flagrun"].common).algorithm.plan()
-    assert alone.branch_design is None  # it acts as everywhere
-    plan = record_generations("point-gather", INTERVALS).algorithm.plan()
-    assert plan.branch_design == replace(plan.design, controller=None, num_recorded_goals=2)
-
-
-# What shows in a run alone.
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    """A run to take a primitive and a controller from. Not to be changed."""
-    return runs.train_tiny(tmp_path_factory.mktemp("source") / "run", generations=2, evaluation_interval=2)
-
-
-def theta_of(path, checkpoint, level):
-    return {each.name: each.theta.tobytes() for each in runs.state(path, checkpoint).levels}[level]
-
-
-SHOWN: list[dict[str, Any]] = [
-    {"env": "point-gather", "preset": "smoke", "seed": 9, "generations": 3, "evaluation_interval": 1,
-     "evaluation_episodes": 5, "keep_checkpoints": 1, "primitive": "SOURCE", "controller": "SOURCE"},
-    {"primitive": "SOURCE", "primitive_checkpoint": "0", "freeze_primitive": False, "env_steps": 1},
-    {"algorithm": "es", "minutes": 1e-9},
-]  # fmt: skip
-"""Settings of runs; see `test_settings_show_in_the_run`."""
-
-
-def test_settings_show_in_the_run(source, tmp_path):
-    paths = []
-    for number, settings in enumerate(SHOWN):
-        values = {name: str(source) if value == "SOURCE" else value for name, value in settings.items()}
-        paths.append(runs.train_tiny(tmp_path / f"{number}", **values))
-    first, second, third = paths
-    table, run = read_csv(first / "evaluation.csv"), RunFolder.open(first).read_config().run
-    assert (table["generation"], table["episodes"]) == ([1, 2, 3], [5] * 3)
-    assert (run.env, run.preset, runs.state(first).seed) == ("point-gather", "smoke", 9)
-    assert len(list(first.glob("checkpoints/generation_*.npz"))) == 4
-    for level in ("controller", "primitive"):
-        assert theta_of(first, "0", level) == theta_of(source, "best", level) != theta_of(source, "0", level)
-    assert theta_of(first, "last", "primitive") == theta_of(first, "0", "primitive")
-    assert theta_of(second, "0", "primitive") == theta_of(source, "0", "primitive")
-    assert theta_of(second, "last", "primitive") != theta_of(source, "0", "primitive")
-    assert [runs.state(path).generation for path in (second, third)] == [1, 0]
-    assert [level.name for level in runs.state(third).levels] == ["policy"]
+SHOWN = {
+    *("env", "preset", "generations", "env_steps", "minutes", "algorithm"),
+    *("evaluation_interval", "evaluation_episodes", "keep_checkpoints"),
+    *("primitive", "primitive_checkpoint", "freeze_primitive", "controller"),
+    *("num_workers", "backend", "device", "nconmax", "njmax"),
+}
+"""Settings that show in a run alone: see `test_train`, `test_tables`, `test_transfer`, `test_device` and tests/e2e."""
 
 
 def test_every_setting_has_a_row():
     of_hiro = {name for section in HIRO.sections.values() for name in setting_fields(section)}  # tests/baselines
-    rows = {name for each in (*(group.rows for group in GROUPS.values()), *SHOWN) for name in each}
+    rows = {name for group in GROUPS.values() for name in group.rows} | SHOWN
     assert rows | of_hiro == known_settings().keys() - {"max_diverged_generations"}  # which is fixed
 
 
@@ -373,12 +273,3 @@ def test_training_and_evaluations_share_no_episode(tmp_path):
     seeds = [{*record.seeds("training")}, {*record.seeds("evaluation")}, {*final.seeds("evaluation")}]
     assert [len(each) for each in seeds] == [6, 9, 3]
     assert len(set.union(*seeds)) == 18
-
-
-@pytest.mark.parametrize(
-    ("is_frozen", "noises"), [(True, {"decision_noise"}), (False, {"decision_noise", "control_noise"})]
-)
-def test_a_frozen_primitive_has_no_exploration_noise(source, tmp_path, is_frozen, noises):
-    with recording() as record:
-        runs.train_tiny(tmp_path / "run", primitive=str(source), freeze_primitive=is_frozen, generations=1)
-    assert record.noises == noises
