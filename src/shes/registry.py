@@ -80,6 +80,12 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
         ) from error
 
 
+def check_function(kind: str, function: object) -> None:
+    """Raise ConfigError unless `function` is one."""
+    if isinstance(function, type) or not callable(function):
+        raise ConfigError(f"a {kind} must be a function, got {function!r}. `docs/extending.md` says of what.")
+
+
 def check_name_form(kind: str, name: object) -> None:
     """Raise ConfigError unless `name` consists of lower-case words."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):

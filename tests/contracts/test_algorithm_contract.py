@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import shes
-from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView
 from shes.algorithms.contract import Algorithm, Preset
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
-from shes.es.perturbation import MIRRORINGS, Mirroring
+from shes.es.perturbation import MIRRORINGS
 from shes.evolution import way_search
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.checkpoint import restore
@@ -285,24 +285,17 @@ def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
     assert TrainConfig.of(env="point-flagrun", algorithm="whole").level_names == ("primitive",)
 
 
-class Threefold(Mirroring):
+def threefold(num_levels):
     """Three members."""
-
-    def rows(self, num_levels):
-        return [(1,) * num_levels] * 3
-
-
-class First(ViewChoice):
-    """The first value."""
-
-    def of(self, task):
-        return ColumnsView((0,))
+    return [(1,) * num_levels] * 3
 
 
 def test_mirrorings_and_views_can_be_registered(monkeypatch):
-    monkeypatch.setitem(MIRRORINGS, "threefold", Threefold)
-    monkeypatch.setitem(PRIMITIVE_VIEWS, "first", First)
-    monkeypatch.setitem(CONTROLLER_VIEWS, "first", First)
+    monkeypatch.setitem(MIRRORINGS, "threefold", threefold)
+    for registry in (PRIMITIVE_VIEWS, CONTROLLER_VIEWS):
+        monkeypatch.setitem(registry, "first", lambda _: ColumnsView((0,)))
+        with pytest.raises(ConfigError, match="view must be a function, got <class"):
+            registry["own"] = ColumnsView
     asked = {"mirrored": "threefold", "population_size": 6, "primitive_view": "first", "controller_view": "first"}
     built = build_algorithm(make_config("point-gather", "smoke", {**asked, "hidden": ()}))
     assert built.hyperparameters.signs(0).tolist() == [[[1, 1]] * 3] * 2

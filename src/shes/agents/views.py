@@ -7,18 +7,17 @@ views).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
 from shes.envs.bodies.body import Body
 from shes.envs.episode_batch import EpisodeBatch
-from shes.options import subclass_of
-from shes.registry import Registry
+from shes.registry import Registry, check_function
 from shes.types import F64Array, IntArray
 
 SECTORS_SCALE = {"position": 8.0, "velocity": 1.0}
@@ -207,95 +206,58 @@ def _columns(indices: Sequence[int]) -> slice | IntArray:
     return np.array(indices, dtype=np.int64)
 
 
-class ViewChoice(ABC):
-    """A choice of a level's view in any environment. It is made without arguments."""
-
-    is_egocentric: ClassVar[bool] = False
-    """Whether its views are egocentric."""
-    lack: ClassVar[str] = "which has no such view"
-    """End of the error message for a robot or a task without such a view."""
-    sees_task: ClassVar[bool] = False
-    """Whether a primitive sees more than the robot."""
-
-    @abstractmethod
-    def of(self, task: EpisodeBatch) -> View | None:
-        """Return the view in `task`, or None if it has none."""
+ViewChoice: TypeAlias = Callable[[EpisodeBatch], View | str]
+"""A function of a task that returns a level's view in it; without such a view, the end of the error message."""
 
 
-class WholeObservation(ViewChoice):
+def whole_observation(_task: EpisodeBatch) -> View:
     """The task's observation."""
-
-    def of(self, task: EpisodeBatch) -> View:
-        """Return the view of all values."""
-        return ColumnsView()
+    return ColumnsView()
 
 
-class Observation(ViewChoice):
+def observation(task: EpisodeBatch) -> View:
     """The task's observation; only the robot's coordinates when the primitive learns without a controller."""
-
-    sees_task = True
-
-    def of(self, task: EpisodeBatch) -> View:
-        """Return the view of what the task shows to primitives."""
-        return ColumnsView(task.primitive_view.tolist())
+    return ColumnsView(task.primitive_view.tolist())
 
 
-class Proprioception(ViewChoice):
+def proprioception(task: EpisodeBatch) -> View:
     """The robot's coordinates."""
-
-    def of(self, task: EpisodeBatch) -> View:
-        """Return the view of the robot's qpos and qvel."""
-        return ColumnsView(task.proprioception.tolist())
+    return ColumnsView(task.proprioception.tolist())
 
 
-class Egocentric(ViewChoice):
+def egocentric(task: EpisodeBatch) -> View | str:
     """The robot's state in its own frame, without its position."""
-
-    is_egocentric = True
-    lack = "which has no egocentric view"
-    shows_others: ClassVar[bool] = False
-    """Whether it also shows the observed values that are not the robot's."""
-
-    def of(self, task: EpisodeBatch) -> View | None:
-        """Return the egocentric view, if the robot has one."""
-        if task.robot is None or not task.robot.egocentric:
-            return None
-        return EgocentricView(task.robot, task.proprioception.tolist(), _others(task) if self.shows_others else ())
+    return _egocentric(task, ())
 
 
-class EgocentricAndOthers(Egocentric):
+def egocentric_and_others(task: EpisodeBatch) -> View | str:
     """The robot's state in its own frame, then the rest of the observation."""
+    return _egocentric(task, _others(task))
 
-    shows_others = True
+
+def _egocentric(task: EpisodeBatch, others: Sequence[int]) -> View | str:
+    if task.robot is None or not task.robot.egocentric:
+        return "which has no egocentric view"
+    return EgocentricView(task.robot, task.proprioception.tolist(), others)
 
 
-class Sectors(ViewChoice):
+def sectors(task: EpisodeBatch) -> View | str:
     """The task's sensors, and the heading and the position by sector (Gather): what the equivariant network needs."""
-
-    lack = "and no sensors around it beside its position, as Gather has"
-
-    def of(self, task: EpisodeBatch) -> View | None:
-        """Return the view of the sensors and the vectors, if there are sensors and a position."""
-        if not task.sensor_rings.size or not len(task.position_columns) or task.robot is None:
-            return None
-        velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
-        vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
-        return SectorsView(task.sensor_rings.tolist(), vectors)
+    if not task.sensor_rings.size or not len(task.position_columns) or task.robot is None:
+        return "and no sensors around it beside its position, as Gather has"
+    velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
+    vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
+    return SectorsView(task.sensor_rings.tolist(), vectors)
 
 
-class Position(ViewChoice):
+def position(task: EpisodeBatch) -> View | str:
     """The robot's position and what is not the robot's, such as the target.
 
     Which way to take depends on nothing else, and each input of a controller adds the noise of its weights.
     """
-
-    lack = "which observes no absolute position"
-
-    def of(self, task: EpisodeBatch) -> View | None:
-        """Return the view of the position and of all values but the robot's, if the position is known."""
-        if not len(task.position_columns):
-            return None
-        return ColumnsView([*task.position_columns.tolist(), *_others(task)])
+    if not len(task.position_columns):
+        return "which observes no absolute position"
+    return ColumnsView([*task.position_columns.tolist(), *_others(task)])
 
 
 def _others(task: EpisodeBatch) -> list[int]:
@@ -303,22 +265,22 @@ def _others(task: EpisodeBatch) -> list[int]:
     return sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
 
 
-PRIMITIVE_VIEWS: Registry[type[ViewChoice]] = Registry(
+PRIMITIVE_VIEWS: Registry[ViewChoice] = Registry(
     "primitive view",
-    {"observation": Observation, "proprioception": Proprioception, "egocentric": Egocentric},
+    {"observation": observation, "proprioception": proprioception, "egocentric": egocentric},
     fix="Set --primitive-view.",
-    check=subclass_of(ViewChoice),
+    check=check_function,
 )
 """Views of the primitive by name: the choices of `--primitive-view`."""
-CONTROLLER_VIEWS: Registry[type[ViewChoice]] = Registry(
+CONTROLLER_VIEWS: Registry[ViewChoice] = Registry(
     "controller view",
     {
-        "observation": WholeObservation,
-        "egocentric": EgocentricAndOthers,
-        "sectors": Sectors,
-        "position": Position,
+        "observation": whole_observation,
+        "egocentric": egocentric_and_others,
+        "sectors": sectors,
+        "position": position,
     },
     fix="Set --controller-view.",
-    check=subclass_of(ViewChoice),
+    check=check_function,
 )
 """Views of the controller by name: the choices of `--controller-view`."""

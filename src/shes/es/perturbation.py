@@ -9,7 +9,7 @@ Source: SHES paper II-E (many-to-many, one-to-many) and II-F (mirroring).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import TypeAlias
 
@@ -18,56 +18,43 @@ from numpy.typing import NDArray
 
 from shes.errors import ConfigError
 from shes.options import subclass_of
-from shes.registry import Registry
+from shes.registry import Registry, check_function
 
 Signs: TypeAlias = NDArray[np.int8]
 """Signs [G, M, L] of every member of a population at each level."""
 
 
-class Mirroring(ABC):
-    """How the members of a group mirror its noise."""
-
-    @abstractmethod
-    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
-        """Return the signs of each member, +1 or -1 at every level."""
+Mirroring: TypeAlias = Callable[[int], Sequence[Sequence[int]]]
+"""A function of the number of levels that returns the signs of each member of a group, +1 or -1 at every level."""
 
 
-class Quad(Mirroring):
+def quad(num_levels: int) -> Sequence[Sequence[int]]:
     """Every combination of signs. With one level it is a pair, as in S-ES."""
-
-    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
-        """Return (+,+), (+,-), (-,+), (-,-) with two levels."""
-        return list(product((1, -1), repeat=num_levels))
+    return list(product((1, -1), repeat=num_levels))
 
 
-class Pair(Mirroring):
+def pair(num_levels: int) -> Sequence[Sequence[int]]:
     """All plus and all minus."""
-
-    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
-        """Return two opposite members."""
-        return (1,) * num_levels, (-1,) * num_levels
+    return (1,) * num_levels, (-1,) * num_levels
 
 
-class Unmirrored(Mirroring):
+def unmirrored(num_levels: int) -> Sequence[Sequence[int]]:
     """A single member."""
-
-    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
-        """Return one member."""
-        return ((1,) * num_levels,)
+    return ((1,) * num_levels,)
 
 
-MIRRORINGS: Registry[type[Mirroring]] = Registry(
+MIRRORINGS: Registry[Mirroring] = Registry(
     "mirroring",
-    {"quad": Quad, "pair": Pair, "none": Unmirrored},
+    {"quad": quad, "pair": pair, "none": unmirrored},
     fix="Set --mirrored.",
-    check=subclass_of(Mirroring),
+    check=check_function,
 )
 """Mirrorings by name: the choices of `--mirrored`."""
 
 
 def sign_matrix(mirrored: str, num_levels: int) -> NDArray[np.int8]:
     """Return the signs [M, L] of one group, each +1 or -1; raise UnknownNameError unless `mirrored` is known."""
-    return np.array(MIRRORINGS.find(mirrored)().rows(num_levels), dtype=np.int8)
+    return np.array(MIRRORINGS.find(mirrored)(num_levels), dtype=np.int8)
 
 
 class Perturbation(ABC):

@@ -17,7 +17,7 @@ from shes.agents.goal_agent import Controller, GoalDesign
 from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, SectorOutput
 from shes.agents.mlp import MLP
 from shes.agents.rewards import PRIMITIVE_REWARDS
-from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, Proprioception, SectorsView, View, ViewChoice
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, SectorsView, View, ViewChoice, proprioception
 from shes.algorithms.contract import LevelTransfer
 from shes.algorithms.problem import Problem
 from shes.envs.bodies.body import SymmetryGroup
@@ -109,13 +109,13 @@ def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup:
     return group
 
 
-def _view(settings: Any, task: EpisodeBatch, setting: str, choice: type[ViewChoice]) -> View:
+def _view(settings: Any, task: EpisodeBatch, setting: str, choice: ViewChoice) -> View:
     """Return the view that `setting` chooses; raise ConfigError if the robot has none."""
-    view = choice().of(task)
-    if view is None:
+    view = choice(task)
+    if isinstance(view, str):
         env, name = settings.run.env, settings.values[setting]
         whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
-        raise ConfigError(f"{setting} is {name!r}, but {whose}, {choice.lack}. Set {flag(setting)} to another one.")
+        raise ConfigError(f"{setting} is {name!r}, but {whose}, {view}. Set {flag(setting)} to another one.")
     return view
 
 
@@ -125,8 +125,8 @@ def _controller_view(settings: Any, task: EpisodeBatch) -> View:
 
 def _primitive_view(settings: Any, task: EpisodeBatch) -> View:
     choice = PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view)
-    if choice.sees_task and is_alone(settings):
-        choice = Proprioception  # the task's own observation would tell it where the goal is
+    if settings.hierarchy.primitive_view == "observation" and is_alone(settings):
+        choice = proprioception  # the task's own observation would tell it where the goal is
     return _view(settings, task, "primitive_view", choice)
 
 
@@ -143,7 +143,7 @@ class PrimitiveTransfer(LevelTransfer):
     def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
         """Return the settings of the primitive's inputs and layers."""
         view = source.hierarchy.primitive_view
-        is_plain = is_alone(source) and PRIMITIVE_VIEWS.find(view).sees_task
+        is_plain = is_alone(source) and view == "observation"
         return {
             **{name: source.values[name] for name in ("goal_encoding", "clock_frequency", "symmetry")},
             "hidden" if level_names == ("primitive",) else "primitive_hidden": _primitive_layers(source),

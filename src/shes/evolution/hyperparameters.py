@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from shes.agents.views import PRIMITIVE_VIEWS
 from shes.algorithms.problem import Problem
 from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
@@ -173,7 +172,7 @@ def _check_population(settings: Any) -> None:
 def _check_frames(settings: Any) -> None:
     """Check that what is to turn with the robot is seen from its own frame."""
     hierarchy = settings.hierarchy
-    if hierarchy.symmetry != "none" and not PRIMITIVE_VIEWS.find(hierarchy.primitive_view).is_egocentric:
+    if hierarchy.symmetry != "none" and hierarchy.primitive_view != "egocentric":
         raise ConfigError(
             f"symmetry is {hierarchy.symmetry!r}, but the primitive's view is {hierarchy.primitive_view!r}: only what "
             "is seen from the robot's own frame can be turned. Set --primitive-view egocentric, or --symmetry none."
@@ -199,7 +198,7 @@ def _check_branches(settings: Any) -> None:
         )
     name, members = "population_size", settings.evolution.population_size
     if not is_alone(settings):
-        if learns(settings)[-1] and PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
+        if learns(settings)[-1] and settings.hierarchy.primitive_view == "observation":
             raise ConfigError(
                 "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
                 "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
@@ -230,7 +229,7 @@ def _check_exploration(settings: Any) -> None:
     elif target != sought:
         fault = f"it searches for a way to evaluation's target {sought}, while the training target is {target}"
         fix = f"--target {' '.join(f'{x:g}' for x in sought)}"
-    elif PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
+    elif settings.hierarchy.primitive_view == "observation":
         fault = "the primitive sees the task's observation, which a walker does not have"
         fix = "--primitive-view egocentric or proprioception"
     else:
