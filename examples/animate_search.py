@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import mujoco
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.collections import LineCollection, PolyCollection
@@ -22,7 +23,7 @@ def main(run: str, file: Path) -> None:
     archive = open_run(run).state.archive
     task = Playback(run, "best").task
     model = task.world_to_draw().compile()
-    boxes = outlines(model)
+    boxes = outlines(model, mujoco.MjData(model))
     left, bottom, right, top = extent_of(model)
 
     figure, axis = plt.subplots(figsize=(4, 4), layout="constrained")

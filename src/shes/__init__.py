@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from shes.agents.goals import register_controller_output, register_goal_encoding
     from shes.agents.rewards import register_primitive_reward
     from shes.envs.named_environments import register_environment, register_external
+    from shes.runs.comparison import compare
     from shes.runs.evaluate import Evaluation, evaluate
     from shes.runs.export import export
     from shes.runs.loaded_agent import Agent, load
@@ -36,14 +37,15 @@ if TYPE_CHECKING:
     from shes.viewing.report import report
 
 __all__ = [
-    "Agent", "Evaluation", "Run", "StopTraining", "__version__", "es", "evaluate", "export", "load", "plot",
-    "register_algorithm", "register_controller_output", "register_environment", "register_external",
+    "Agent", "Evaluation", "Run", "StopTraining", "__version__", "compare", "es", "evaluate", "export", "load",
+    "plot", "register_algorithm", "register_controller_output", "register_environment", "register_external",
     "register_goal_encoding", "register_primitive_reward", "render", "report", "resume", "train",
 ]  # fmt: skip
 _HOMES = {
     "agents.goals": ("register_controller_output", "register_goal_encoding"),
     "agents.rewards": ("register_primitive_reward",),
     "envs.named_environments": ("register_environment", "register_external"),
+    "runs.comparison": ("compare",),
     "runs.evaluate": ("Evaluation", "evaluate"),
     "runs.export": ("export",),
     "runs.recorder": ("StopTraining",),

@@ -47,7 +47,7 @@ def test_every_command_explains_itself(shes, command):
         (plot.plot, "x", plot.X_AXES),
         (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
-        (comparison.compare_runs, "measure", comparison.MEASURES),
+        (comparison.compare, "measure", comparison.MEASURES),
     ],
 )
 def test_the_choices_are_those_there_are(function, name, known):

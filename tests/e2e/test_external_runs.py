@@ -157,7 +157,7 @@ def test_a_primitive_that_learned_there_serves_there_again(run, tmp_path):
     path = shes.train("car", out=tmp_path / "run", primitive=run.path, **TINY).path
     before, after = (runs.state(each, name).levels[1] for each, name in ((run.path, "best"), (path, "last")))
     assert before.theta.tobytes() == after.theta.tobytes()
-    with pytest.raises(ConfigError, match=r"It was trained on car: 9 inputs .*car\[0\], .*\nHere there is: 28 "):
+    with pytest.raises(ConfigError, match="it was trained on car for an external robot, but point-gather has the p"):
         shes.train("point-gather", out=tmp_path / "other", primitive=run.path, goal_encoding="angle", **TINY)
 
 

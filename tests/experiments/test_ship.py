@@ -1,6 +1,8 @@
 """Agents that are shipped: small run folders without local paths, with what a fresh evaluation finds again."""
 
+import io
 import json
+from contextlib import redirect_stdout
 from dataclasses import asdict
 
 import numpy as np
@@ -18,6 +20,8 @@ from shes.runs.tables import read_csv
 from tests.e2e import runs
 
 TOLD = {"description": "A point that walks.", "commands": ["shes train point-flagrun"]}
+COMMANDS = ["shes train a", "shes train b"]
+GATHERER = ["point-gather", "--description", "A point.", *(f"--command={each}" for each in COMMANDS)]
 FILES = {"agent.json", "checkpoints", "config.json", "evaluation.csv", "progress.csv"}
 
 
@@ -31,10 +35,13 @@ def walker_run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory, tiny_run, walker_run):
-    """A folder with two shipped agents. Not to be changed."""
+    """A folder with two agents, one of which the command has shipped. Not to be changed."""
     folder = tmp_path_factory.mktemp("shipped") / "agents"
     ship(walker_run, "point-walker", **TOLD, episodes=3, num_workers=1, into=folder)
-    ship(tiny_run, "point-gather", **TOLD, episodes=3, seed=7, num_workers=1, into=folder)
+    words = [*GATHERER, "--earlier", str(tiny_run), "--episodes", "3", "--seed", "7", "--workers", "1"]
+    with redirect_stdout(io.StringIO()) as out:
+        assert main(["ship", str(tiny_run), *words, "--into", str(folder)]) == 0
+    assert out.getvalue() == (folder / "point-gather" / "agent.json").read_text()
     return folder
 
 
@@ -67,8 +74,8 @@ def test_an_agent_is_a_run_folder_without_what_training_needs(agents, walker_run
 
 def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_run):
     told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
-    assert (told.description, told.commands) == (TOLD["description"], TOLD["commands"])
-    assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
+    assert (told.description, told.commands) == ("A point.", COMMANDS)
+    assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 2 * 640)
     assert told.generation == checkpoint.generation
     assert 0 <= told.hours < 0.1
     result, scores = asdict(told)["evaluation"], {"episodes", "score_mean", "score_std", "success_rate"}
@@ -131,15 +138,8 @@ def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_ships_an_agent_and_prints_its_facts(tiny_run, tmp_path, capsys):
-    commands = ["--command", "shes train a", "--command", "shes train b", "--into", str(tmp_path / "agents")]
-    words = ["ship", str(tiny_run), "mine", "--description", "A point.", *commands]
-    earlier = ["--earlier", str(tiny_run)]
-    assert main([*words, "--episodes", "2", "--workers", "1", *earlier]) == 0
+def test_an_agent_that_exists_is_not_written_over(tiny_run, place, capsys):
+    assert main(["ship", str(tiny_run), *GATHERER, "--into", str(place)]) == 2
     out, err = capsys.readouterr()
-    told = json.loads(out)
-    assert (err, told["commands"], told["evaluation"]["episodes"]) == ("", ["shes train a", "shes train b"], 2)
-    assert told["env_steps"] == 2 * 640
-    assert json.loads((tmp_path / "agents" / "mine" / "agent.json").read_text()) == told
-    assert main(words) == 2
-    assert "mine exists already. Delete it first, or choose another name" in " ".join(capsys.readouterr().err.split())
+    assert out == ""
+    assert "exists already. Delete it first, or choose another name" in " ".join(err.split())

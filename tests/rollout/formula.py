@@ -143,8 +143,3 @@ def bits(value):
             if field.name not in ("log", "seconds") and not field.name.endswith("_s")
         }
     return repr(value)
-
-
-def same_level(one, other):
-    """Return whether parameters and optimizer of two levels are bit-identical."""
-    return bits([one.theta, one.optimizer]) == bits([other.theta, other.optimizer])

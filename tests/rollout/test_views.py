@@ -1,8 +1,8 @@
 """Views: what levels see, against rotation matrices written out and the names that environments give."""
 
-import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from shes.agents.views import ColumnsView
 from shes.envs.bodies.ant import Ant
@@ -15,17 +15,6 @@ from shes.runs.make_config import make_config
 from tests.contracts.variants import VARIANTS
 
 ROWS = 6
-
-
-def rotation(quaternion):
-    """Return the matrix [3, 3] of a unit quaternion w x y z."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
-
-
-def about_vertical(angle):
-    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
 
 
 def tumbled(seed=0):
@@ -48,9 +37,10 @@ def test_every_value_of_the_ants_view_is_what_its_name_says():
     (qpos, qvel), model = tumbled(), spec.compile()
     seen = view_of(Ant(), qpos, qvel)
     for row in range(ROWS):
-        matrix = rotation(qpos[row, 3:7])
+        matrix = Rotation.from_quat(qpos[row, 3:7], scalar_first=True).as_matrix()
         # The angle about the vertical after which what is left of the rotation is a tilt about a level axis.
-        back = about_vertical(np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])).T
+        angle = np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])
+        back = Rotation.from_rotvec([0, 0, -angle]).as_matrix()
         assert (back @ matrix)[1, 0] == pytest.approx((back @ matrix)[0, 1], abs=1e-12)
         tilt, velocity = back @ matrix @ [0, 0, 1], back @ qvel[row, :3]
         expected = {
@@ -77,7 +67,7 @@ def test_points_see_velocities_and_an_upright_ant_its_heading():
     assert [each.name for each in FallingPoint.egocentric] == ["torso_z", "torso_vx", "torso_vy", "torso_vz"]
     assert not Point().frame_angle(flat).any()
     qpos, angles = tumbled(2)[0], np.linspace(-3, 3, ROWS)  # an upright ant's frame is its heading
-    qpos[:, 3:7] = np.stack([np.cos(angles / 2), 0 * angles, 0 * angles, np.sin(angles / 2)], axis=1)
+    qpos[:, 3:7] = Rotation.from_rotvec(np.outer(angles, [0, 0, 1])).as_quat(scalar_first=True)
     assert Ant().frame_angle(qpos) == pytest.approx(angles)
     assert np.cos(Ant().frame_angle(-qpos) - angles) == pytest.approx(1)  # the other quaternion of the same pose
 
@@ -87,11 +77,8 @@ def test_points_see_velocities_and_an_upright_ant_its_heading():
 
 def moving(config, rows):
     """Return a task whose robots are somewhere, and what it observes."""
-    task, rng, ids = (
-        build_environment(config).make(rows, build_options(config, is_evaluation=False)),
-        np.random.default_rng(8),
-        np.arange(rows),
-    )
+    task = build_environment(config).make(rows, build_options(config, is_evaluation=False))
+    rng, ids = np.random.default_rng(8), np.arange(rows)
     task.reset(ids, ids.tolist())
     for _ in range(3):
         task.step(ids, rng.uniform(-1, 1, (rows, task.action_size)) * task.control_limit)

@@ -12,7 +12,7 @@ from scipy import stats
 import shes
 from shes.cli import main
 from shes.errors import ConfigError, MissingExtraError
-from shes.runs.comparison import compare_runs, mean_difference_interval, permutation_test
+from shes.runs.comparison import compare, mean_difference_interval, permutation_test
 from tests.e2e import runs
 
 
@@ -69,7 +69,7 @@ def transferred(tmp_path_factory):
 @pytest.fixture
 def compared(transferred):
     """Return a function that compares the runs of a folder with those of `gather/b`; return how many there are."""
-    return lambda folder: compare_runs(folder, transferred / "gather" / "b", episodes=2, num_workers=1).first_count
+    return lambda folder: compare(folder, transferred / "gather" / "b", episodes=2, num_workers=1).first_count
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def copied(transferred, tmp_path):
 def test_groups_are_compared_over_runs_single_runs_over_episodes(transferred, capsys):
     sides = [transferred / "gather" / side for side in ("a", "b")]
     given = {"episodes": 3, "num_workers": 1, "seed": 7, "checkpoint": "last"}
-    found = compare_runs(*sides, measure="return", **given)
+    found = compare(*sides, measure="return", **given)
     one, other = (
         np.array([shes.evaluate(path, **given).returns.mean() for path in sorted(side.iterdir())]) for side in sides
     )
@@ -94,7 +94,7 @@ def test_groups_are_compared_over_runs_single_runs_over_episodes(transferred, ca
     assert main([*words, "--measure", "return", "--json"]) == 0
     assert json.loads(capsys.readouterr().out).items() >= {"p": found.p, "low": found.low, "unit": "runs"}.items()
     one = sides[0] / "seed-1"
-    single = compare_runs(one, one, episodes=4, num_workers=1)
+    single = compare(one, one, episodes=4, num_workers=1)
     assert (single.unit, single.first_count, single.difference, single.p) == ("episodes", 4, 0, 1)
     assert main(["compare", str(one), str(one), "--episodes", "2", "--workers", "1"]) == 0
     assert "95 % interval [" in capsys.readouterr().out
@@ -111,7 +111,7 @@ def test_what_cannot_be_compared_is_refused(transferred, tmp_path):
         (tmp_path / "twice", gather / "a", "have the same seed and settings: they are one run"),
     ):
         with pytest.raises(ConfigError, match=message):
-            compare_runs(first, second)
+            compare(first, second)
 
 
 # Repetitions: runs on primitives of other runs are if their primitives are.

@@ -24,7 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("runs.evaluate.evaluate", "evaluate a checkpoint of a run on fresh episodes"),
     "plot": ("viewing.plot.plot", "plot the learning curves of runs"),
     "report": ("viewing.report.report", "make one HTML page of runs: curves, results, maps, videos, settings"),
-    "compare": ("runs.comparison.compare_runs", "compare two runs, or groups of runs: interval and p value"),
+    "compare": ("runs.comparison.compare", "compare two runs, or groups of runs: interval and p value"),
     "render": ("viewing.render.render", "make a video of a run's policy"),
     "watch": ("viewing.playback.watch", "watch a run's policy in a window"),
     "export": ("runs.export.export", "write a run's policy to a file that needs no SHES"),

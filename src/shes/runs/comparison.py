@@ -66,7 +66,7 @@ class RunComparison:
 
 
 @checked
-def compare_runs(
+def compare(
     first: Path | str,
     second: Path | str,
     *,
