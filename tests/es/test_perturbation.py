@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError
-from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, sign_matrix
+from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, member_signs, sign_matrix
 
 BOTH, CONTROLLER_ALONE = (True, True), (True, False)
 
 
 def signs_of(name, population, mirrored="quad", learns=BOTH, generation=0):
-    return PERTURBATIONS.find(name)().signs(generation, population, mirrored, learns)
+    return member_signs(name, mirrored, population, learns, generation)
 
 
 @given(num_levels=st.integers(1, 5))

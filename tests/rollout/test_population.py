@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shes.es.level import UpdateRule
-from shes.es.perturbation import PERTURBATIONS, OneToManyHalves
+from shes.es.perturbation import PERTURBATIONS, member_signs
 from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
 from shes.rollout.roll_out import PopulationResults
@@ -19,7 +19,7 @@ from tests.rollout.formula import SETTINGS, formula_state
 def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
     """Return the members of a generation and, per member, its task's quantities."""
     settings = replace(SETTINGS, population_size=population, episodes_per_policy=episodes, **options)
-    settings = replace(settings, perturbation=PERTURBATIONS.find(perturbation)())
+    settings = replace(settings, perturbation=perturbation)
     draws, members = draw_episodes(replace(formula_state(), generation=generation, seed=seed), settings, 50_000), []
     for task in draws.tasks:
         assert task.slots == tuple(range(len(task.signs) * episodes))
@@ -89,7 +89,7 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
 def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(price):
     """A fall takes its price off, in the mean over these members nothing."""
     (fitness, fallen), rule = np.random.default_rng(3).random((2, 8)), UpdateRule(fall_price=price)
-    signs = OneToManyHalves().signs(0, 8, "quad", (True, True))
+    signs = member_signs("one_to_many_halves", "quad", 8, (True, True), 0)
     for level, own in enumerate(([0, 1, 2, 3], [4, 5, 6, 7])):
         expected = np.array(centred_ranks(fitness[own].tolist(), "average"))
         expected -= price * (fallen[own] - fallen[own].mean())

@@ -8,7 +8,6 @@ Source: SHES paper II-E (many-to-many, one-to-many) and II-F (mirroring).
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from itertools import product
 from typing import TypeAlias
@@ -17,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.errors import ConfigError
-from shes.options import subclass_of
 from shes.registry import Registry, check_function
 
 Signs: TypeAlias = NDArray[np.int8]
@@ -57,77 +55,69 @@ def sign_matrix(mirrored: str, num_levels: int) -> NDArray[np.int8]:
     return np.array(MIRRORINGS.find(mirrored)(num_levels), dtype=np.int8)
 
 
-class Perturbation(ABC):
-    """Chooses the levels that each member perturbs."""
+Perturbation: TypeAlias = Callable[[int, Sequence[int]], Sequence[Sequence[int]]]
+"""A function of the number of updates so far and the levels that learn.
 
-    @abstractmethod
-    def parts(self, generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
-        """Return the levels that each of one or more equal parts of the population perturbs, as many in each part.
-
-        `generation` is the number of updates so far, and `levels` are those that learn.
-        """
-
-    def signs(self, generation: int, population_size: int, mirrored: str, learns: Sequence[bool]) -> Signs:
-        """Return the signs [G, M, L] of G groups of M members: +1, -1, or 0 where a level is not perturbed.
-
-        Args:
-            generation: Number of updates so far.
-            population_size: Number of members, n = G * M; raise ConfigError unless they fill whole groups.
-            mirrored: How the members of a group mirror its noise: one of `MIRRORINGS`.
-            learns: Whether each level learns. A level that does not is never perturbed.
-        """
-        self.check_size(population_size, mirrored, learns)
-        parts = self.parts(generation, np.flatnonzero(learns).tolist())
-        rows = sign_matrix(mirrored, len(parts[0]))
-        signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)
-        for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
-            part[:, :, levels] = rows
-        return signs
-
-    def check_size(self, population_size: int, mirrored: str, learns: Sequence[bool]) -> None:
-        """Raise ConfigError unless the members fill whole groups; see `signs`."""
-        parts = self.parts(0, np.flatnonzero(learns).tolist())
-        levels, members = len(parts[0]), len(sign_matrix(mirrored, len(parts[0])))
-        whole, perturbed = members * len(parts), f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
-        if population_size <= 0 or population_size % whole:
-            group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
-            if len(parts) > 1:
-                group = f"a group of {members} with {mirrored!r} mirroring for each level that learns"
-            lower = max(whole, population_size - population_size % whole)
-            raise ConfigError(
-                f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
-                f"Set --population-size {lower} or {lower + whole}."
-            )
+It returns the levels that each of one or more equal parts of the population perturbs, as many in each part.
+"""
 
 
-class ManyToMany(Perturbation):
+def many_to_many(_generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
     """Every member perturbs both levels. Source: SHES paper II-E, its default."""
-
-    def parts(self, generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
-        """Return all levels for all members."""
-        return [levels]
+    return [levels]
 
 
-class OneToMany(Perturbation):
+def one_to_many(generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
     """Generations alternate between perturbing the controller and the primitive. Source: SHES paper II-E."""
-
-    def parts(self, generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
-        """Return for all members the level whose turn it is."""
-        return [[levels[generation % len(levels)]]]
+    return [[levels[generation % len(levels)]]]
 
 
-class OneToManyHalves(Perturbation):
+def one_to_many_halves(_generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
     """Half of the members perturb the controller, the other half the primitive. Source: SHES paper II-E."""
-
-    def parts(self, generation: int, levels: Sequence[int]) -> Sequence[Sequence[int]]:
-        """Return one part for each level, the controller's first."""
-        return [[level] for level in levels]
+    return [[level] for level in levels]
 
 
-PERTURBATIONS: Registry[type[Perturbation]] = Registry(
+PERTURBATIONS: Registry[Perturbation] = Registry(
     "perturbation",
-    {"many_to_many": ManyToMany, "one_to_many": OneToMany, "one_to_many_halves": OneToManyHalves},
+    {"many_to_many": many_to_many, "one_to_many": one_to_many, "one_to_many_halves": one_to_many_halves},
     fix="Set --perturbation.",
-    check=subclass_of(Perturbation),
+    check=check_function,
 )
 """Perturbations by name: the choices of `--perturbation`."""
+
+
+def member_signs(
+    perturbation: str, mirrored: str, population_size: int, learns: Sequence[bool], generation: int
+) -> Signs:
+    """Return the signs [G, M, L] of G groups of M members: +1, -1, or 0 where a level is not perturbed.
+
+    Args:
+        perturbation: One of `PERTURBATIONS`.
+        mirrored: How the members of a group mirror its noise: one of `MIRRORINGS`.
+        population_size: Number of members, n = G * M; raise ConfigError unless they fill whole groups.
+        learns: Whether each level learns. A level that does not is never perturbed.
+        generation: Number of updates so far.
+    """
+    check_population_size(perturbation, mirrored, population_size, learns)
+    parts = PERTURBATIONS.find(perturbation)(generation, np.flatnonzero(learns).tolist())
+    rows = sign_matrix(mirrored, len(parts[0]))
+    signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)
+    for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
+        part[:, :, levels] = rows
+    return signs
+
+
+def check_population_size(perturbation: str, mirrored: str, population_size: int, learns: Sequence[bool]) -> None:
+    """Raise ConfigError unless the members fill whole groups; see `member_signs`."""
+    parts = PERTURBATIONS.find(perturbation)(0, np.flatnonzero(learns).tolist())
+    levels, members = len(parts[0]), len(sign_matrix(mirrored, len(parts[0])))
+    whole, perturbed = members * len(parts), f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
+    if population_size <= 0 or population_size % whole:
+        group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
+        if len(parts) > 1:
+            group = f"a group of {members} with {mirrored!r} mirroring for each level that learns"
+        lower = max(whole, population_size - population_size % whole)
+        raise ConfigError(
+            f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
+            f"Set --population-size {lower} or {lower + whole}."
+        )

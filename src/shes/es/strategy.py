@@ -16,7 +16,7 @@ from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, update_level
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import PERTURBATIONS, Signs
+from shes.es.perturbation import Signs, check_population_size, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make, options_of
 from shes.settings import Ge, Gt, checked
@@ -41,7 +41,7 @@ class EvolutionStrategy:
         learning_rate: Learning rate of the optimizer.
         weight_decay: Coefficient of the parameters subtracted from the gradient estimate.
         mirrored: `quad`, `pair` or `none`. With one level, `quad` and `pair` are the same.
-        perturbation: One of `PERTURBATIONS`.
+        perturbation: One of `shes.es.perturbation.PERTURBATIONS`.
         fitness_shaping: One of `FITNESS_SHAPINGS`.
         optimizer: One of `OPTIMIZERS`.
         initial: Initial vector [dim], or a sequence of them with several levels; zeros if None.
@@ -82,13 +82,13 @@ class EvolutionStrategy:
         self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
         self.population_size, self.mirrored = population_size, mirrored
         self.sigma, self.learning_rate = sigma, learning_rate
-        self.perturbation = PERTURBATIONS.find(perturbation)()
+        self.perturbation = perturbation
         self.rule = UpdateRule(
             weight_decay=weight_decay,
             shaping=make(FITNESS_SHAPINGS, fitness_shaping, options),
             optimizer=make(OPTIMIZERS, optimizer, options),
         )
-        self.perturbation.check_size(population_size, mirrored, [True] * len(dims))
+        check_population_size(perturbation, mirrored, population_size, [True] * len(dims))
         self.table = NoiseTable.open(noise_table_size)
         self.table.check_dim(max(self.dims))
         self.state = self._start(initial, seed) if state is None else state
@@ -141,7 +141,7 @@ class EvolutionStrategy:
     def _draws(self) -> tuple[Signs, IntArray]:
         """Return the signs of this generation [G, M, L], and where the noise of each group starts [L, G]."""
         learns, generation = [True] * len(self.dims), self.state.generation
-        signs = self.perturbation.signs(generation, self.population_size, self.mirrored, learns)
+        signs = member_signs(self.perturbation, self.mirrored, self.population_size, learns, generation)
         return signs, draw_noise_index(self.state.seed, generation, len(signs), self.dims, self.table.size)
 
     def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> StrategyState:

@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 
 from shes.es.level import LevelParameters, UpdateRule, draw_noise_index
-from shes.es.perturbation import ManyToMany, Perturbation, Signs
+from shes.es.perturbation import Signs, member_signs
 from shes.evolution.state import RunningEpisodes, TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
@@ -89,7 +89,7 @@ class Hyperparameters:
     """Whether each level learns. A frozen level has no perturbation, update or new statistics (II-D)."""
     mirrored: str = "quad"
     """How the members of a group mirror its noise (II-F)."""
-    perturbation: Perturbation = ManyToMany()
+    perturbation: str = "many_to_many"
     """Which levels a generation perturbs (II-E)."""
     common_random_numbers: str = "group"
     """Which members share episode seeds: none (`off`), those of a mirrored `group`, or the whole `population`.
@@ -124,7 +124,7 @@ class Hyperparameters:
 
     def signs(self, generation: int) -> Signs:
         """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
-        return self.perturbation.signs(generation, self.population_size, self.mirrored, self.by_episodes)
+        return member_signs(self.perturbation, self.mirrored, self.population_size, self.by_episodes, generation)
 
 
 @dataclass(frozen=True, kw_only=True)

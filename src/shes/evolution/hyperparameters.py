@@ -13,7 +13,7 @@ from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import PERTURBATIONS, sign_matrix
+from shes.es.perturbation import check_population_size, sign_matrix
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate, Schedule
 from shes.evolution.evolution_settings import HierarchySettings
@@ -82,7 +82,7 @@ def make_hyperparameters(problem: Problem) -> Hyperparameters:
         updates=_update_rules(settings),
         learns=learns(settings),
         mirrored=evolution.mirrored,
-        perturbation=make(PERTURBATIONS, values.get("perturbation", HierarchySettings.perturbation), values),
+        perturbation=values.get("perturbation", HierarchySettings.perturbation),
         common_random_numbers=evolution.common_random_numbers,
         statistics_fraction=evolution.statistics_fraction,
         intervals=_interval_estimate(settings, common) if is_branched(settings) and learns(settings)[-1] else None,
@@ -165,8 +165,8 @@ def _check_population(settings: Any) -> None:
             f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {evolution.mirrored!r} a group "
             f"has {members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
         )
-    perturbation = PERTURBATIONS.find(settings.values.get("perturbation", HierarchySettings.perturbation))()
-    perturbation.check_size(evolution.population_size, evolution.mirrored, levels)
+    perturbation = settings.values.get("perturbation", HierarchySettings.perturbation)
+    check_population_size(perturbation, evolution.mirrored, evolution.population_size, levels)
 
 
 def _check_frames(settings: Any) -> None:

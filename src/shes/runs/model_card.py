@@ -81,13 +81,8 @@ def _evaluations(folder: RunFolder, levels: tuple[str, ...]) -> list[FreshScore]
     found = [evaluate(folder.path, episodes=EPISODES)]
     if found[0].controller is not None:
         found += [evaluate(folder.path, episodes=EPISODES, controller=each) for each in ("constant", "random")]
+    columns = ("episodes", "score_mean", "score_std", "success_rate")
     return [
-        FreshScore(
-            controller=each.controller or levels[-1],
-            episodes=len(each.scores),
-            score_mean=float(each.scores.mean()),
-            score_std=float(each.scores.std()),
-            success_rate=float(each.successes.mean()),
-        )
+        FreshScore(controller=each.controller or levels[-1], **{name: each.summary()[name] for name in columns})
         for each in found
     ]
