@@ -79,7 +79,7 @@ class FallOptions(TaskOptions):
     max_tilt: Annotated[float | None, Gt(0), Lt(180)] = None
     """Degrees of tilt of the torso beyond which an episode of training ends as a fall. Evaluation does not use it. In
     Maze, Push and Fall, where no fall ends an episode as published, one by the rule of the body then does, too; the
-    evolution strategies count the reward of that step, which is negative, for each of the steps left.
+    evolution strategies count the reward of that step for each of the steps left, unless it is progress along a path.
     """
 
 
