@@ -1,4 +1,4 @@
-"""What the commands print, their arguments, and modules of the user. Wrong input is in e2e/test_bad_input.py."""
+"""Output and arguments of the commands, and modules of the user. Wrong input is in e2e/test_bad_input.py."""
 
 import io
 import json

@@ -23,7 +23,7 @@ Design = TypeVar("Design", bound="AgentDesign")
 
 
 class AgentInputs(NamedTuple):
-    """What N agents, in P lanes of R episodes, act on in one step."""
+    """The inputs of N agents, in P lanes of R episodes, in one step."""
 
     observation: F64Array
     """Observations of the task [N, O]."""
