@@ -19,7 +19,6 @@ from run import LAPTOP, SECONDS, bench, write_csv
 
 import shes  # noqa: F401 - registers the environments
 from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.task import FRAME_SKIP
 
 NUM_ENVS = 64
 STEPS = 40
@@ -48,7 +47,7 @@ def bare_steps_per_s() -> float:
     start = perf_counter()
     for control in controls:
         data.ctrl[:] = control
-        mujoco.mj_step(task.sim.model, data, nstep=FRAME_SKIP)
+        mujoco.mj_step(task.sim.model, data, nstep=task.body.frame_skip)
     return len(controls) / (perf_counter() - start)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
 from shes.envs.named_environments import ENVIRONMENTS, find_environment
-from shes.envs.tasks.task import FRAME_SKIP, TaskOptions
+from shes.envs.tasks.task import TaskOptions
 from shes.evolution.algorithm import evolve
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.build import build_algorithm, build_backend
@@ -176,11 +176,11 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
         task.reset(ids, ids.tolist())
         controls = np.random.default_rng(0).uniform(-30, 30, (worlds, task.action_size)).astype(np.float32)
         task.sim.ctrl[:] = task.xp.asarray(controls)
-        task.sim.step(ids, FRAME_SKIP)  # compiles, captures
+        task.sim.step(ids, task.body.frame_skip)  # compiles, captures
         synchronize(opened)
         start = perf_counter()
         for _ in range(size.world_steps):
-            task.sim.step(ids, FRAME_SKIP)
+            task.sim.step(ids, task.body.frame_skip)
         synchronize(opened)
         seconds = (perf_counter() - start) / size.world_steps
         task.check_buffers()

@@ -15,7 +15,7 @@ from PIL import Image
 from shes.drawing.renderer import CAMERAS
 from shes.envs.gymnasium_ids import MAX_EPISODE_STEPS, gymnasium_id
 from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.task import CONTROL_STEP_S, FRAME_SKIP, Task, TaskOptions
+from shes.envs.tasks.task import Task, TaskOptions
 from shes.settings import setting_fields
 
 
@@ -85,7 +85,7 @@ def _facts(task: Task) -> list[tuple[str, str]]:
         ("Time limit", f"{MAX_EPISODE_STEPS} control steps in Gymnasium (`truncated`), `--horizon` in training"),
         ("Score", description.score),
         ("Success", description.success),
-        ("Control step", f"{CONTROL_STEP_S:g} s, {FRAME_SKIP} physics steps"),
+        ("Control step", f"{task.step_s:g} s, {task.body.frame_skip} physics steps"),
         ("Code", ", ".join(code)),
     ]
 

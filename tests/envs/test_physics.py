@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from shes.envs.named_environments import find_environment, make_task
-from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts.variants import VARIANTS
 
@@ -125,7 +124,7 @@ def crash(name, num_episodes, steps, seed, **options):
         if step >= 4:
             action = np.where(rng.random((num_episodes, 1)) < 0.2, draw_action(), action)
         task.sim.ctrl[:] = action
-        for _ in range(FRAME_SKIP):  # what Task.step does, seen from near
+        for _ in range(task.body.frame_skip):  # what Task.step does, seen from near
             task.sim.step(ids, 1)
             for each, depth in depths(task, boxes).items():
                 greatest[each] = np.maximum(greatest[each], depth)

@@ -62,6 +62,11 @@ class Frames:
         self._own_view_sign: F64Array = xp.zeros((num_robots, size))
         self._own_control: IntArray = xp.zeros((num_robots, num_controls), dtype=np.int64)
         self._own_control_sign: F32Array = xp.zeros((num_robots, num_controls), dtype=np.float32)
+        matrix = group.view_matrix
+        self._view_matrix = None if matrix is None else xp.asarray(matrix)
+        self._own_view_matrix: F64Array = xp.zeros((num_robots, size, size) if matrix is not None else 0)
+        self.clock_sign: F64Array | None = xp.ones((num_robots, 1)) if group.shifts_clock else None
+        """-1 for robots whose frame is reflected, which are half a period ahead; None if the clock is the same."""
         self._robots = xp.arange(num_robots)[:, None]
 
     def choose(self, robots: slice | IntArray, vector: F64Array) -> None:
@@ -72,6 +77,10 @@ class Frames:
         self._own_view_sign[robots] = self._view_sign[element]
         self._own_control[robots] = self._control_index[element] + number * self._control_index.shape[1]
         self._own_control_sign[robots] = self._control_sign[element]
+        if self._view_matrix is not None:
+            self._own_view_matrix[robots] = self._view_matrix[element]
+        if self.clock_sign is not None:
+            self.clock_sign[robots, 0] = self._direction[2, element]
 
     def turned(self, vector: F64Array) -> F64Array:
         """Return vectors [N, 2], given in the robots' own frames, in these frames."""
@@ -81,7 +90,10 @@ class Frames:
 
     def view(self, values: F64Array, out: F64Array) -> None:
         """Write egocentric views [N, V], given in the robots' own frames, into `out` [N, V] in these frames."""
-        np.multiply(values.ravel()[self._own_view], self._own_view_sign, out=out)
+        if self._view_matrix is None:
+            np.multiply(values.ravel()[self._own_view], self._own_view_sign, out=out)
+        else:
+            out[:] = (self._own_view_matrix @ values[:, :, None])[:, :, 0]
 
     def controls(self, control: F32Array) -> F32Array:
         """Return controls [N, A], given in these frames, in the robots' own frames."""
@@ -157,6 +169,8 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         design.goal_encoding.encode(vector, distance, angle, self._goal_features)
         if design.clock is not None:
             design.clock.write(self.xp.asarray(self.clock), self._clock_features)
+            if frames is not None and frames.clock_sign is not None:
+                self._clock_features *= frames.clock_sign
         self.clock += 1
         control = self.levels[-1].act(self._inputs, inputs.control_noise)
         return control if frames is None else frames.controls(control)

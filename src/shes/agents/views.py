@@ -158,8 +158,14 @@ class SectorsView(View):
     Source: `docs/learning.md`, "Equivariant controllers".
     """
 
-    def __init__(self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]]) -> None:
-        """See the sensors at `rings` [ring, sector], and the vectors whose x and y are at these places, by name."""
+    def __init__(
+        self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]], scale: float = 1.0
+    ) -> None:
+        """See the sensors at `rings` [ring, sector], and the vectors whose x and y are at these places, by name.
+
+        `scale` is the number of metres that count as one.
+        """
+        self.units = {name: scale * unit for name, unit in SECTORS_SCALE.items()}
         self.rings = tuple(tuple(ring) for ring in rings)
         self.vectors = {name: (int(x), int(y)) for name, (x, y) in vectors.items()}
         self.num_sectors = len(self.rings[0])
@@ -181,7 +187,7 @@ class SectorsView(View):
         vectors[:, 0] = self._ahead
         cosine, sine = np.cos(heading), np.sin(heading)
         for number, (name, columns) in enumerate(self.vectors.items(), 1):
-            x, y = (observation[:, column] / SECTORS_SCALE[name] for column in columns)
+            x, y = (observation[:, column] / self.units[name] for column in columns)
             ahead, left = cosine * x + sine * y, cosine * y - sine * x
             vectors[:, number] = ahead[:, None] * self._ahead + left[:, None] * self._left
         out[:, 2 * num_readings :] = vectors.reshape(len(out), -1)
@@ -195,7 +201,7 @@ class SectorsView(View):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the indices of the sensors and of each vector, with its scale."""
-        vectors = [[*columns, SECTORS_SCALE[name]] for name, columns in self.vectors.items()]
+        vectors = [[*columns, self.units[name]] for name, columns in self.vectors.items()]
         return {"kind": "sectors", "rings": [list(ring) for ring in self.rings], "columns": [], "vectors": vectors}
 
 
@@ -247,7 +253,7 @@ def sectors(task: EpisodeBatch) -> View | str:
         return "and no sensors around it beside its position, as Gather has"
     velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
     vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
-    return SectorsView(task.sensor_rings.tolist(), vectors)
+    return SectorsView(task.sensor_rings.tolist(), vectors, task.scale)
 
 
 def position(task: EpisodeBatch) -> View | str:

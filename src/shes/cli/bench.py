@@ -16,7 +16,7 @@ import numpy as np
 
 from shes.backends.backend import Backend, SerialBackend
 from shes.envs.named_environments import find_environment
-from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.envs.tasks.task import SimulatorFactory
 from shes.errors import ConfigError
 from shes.evolution.algorithm import evolve, num_steps, roll_out
 from shes.evolution.strategies import EvolutionAlgorithm
@@ -127,8 +127,8 @@ class RecordedEpisode(NamedTuple):
 class BarePhysics:
     """Replays episodes one after another with `mj_step`: the limit of one core."""
 
-    def __init__(self, model: mujoco.MjModel, episodes: Sequence[RecordedEpisode]) -> None:
-        self.model, self.episodes, self.data = model, episodes, mujoco.MjData(model)
+    def __init__(self, model: mujoco.MjModel, episodes: Sequence[RecordedEpisode], frame_skip: int) -> None:
+        self.model, self.episodes, self.data, self.frame_skip = model, episodes, mujoco.MjData(model), frame_skip
 
     def replay(self, episode: RecordedEpisode) -> None:
         """Replay `episode` in `data`."""
@@ -138,7 +138,7 @@ class BarePhysics:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = parts
         for control in episode.controls:
             data.ctrl[:] = control
-            mujoco.mj_step(model, data, nstep=FRAME_SKIP)
+            mujoco.mj_step(model, data, nstep=self.frame_skip)
 
     def steps_per_s(self, seconds: float) -> float:
         """Return the control steps per second of replaying all episodes repeatedly for at least `seconds`."""
@@ -168,7 +168,8 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
             branches = draw_branches(state, settings, table_size, (episodes,))
             share = max(1, len(branches.tasks) * num_tasks // len(draws.tasks))
             roll_out(replace(branches, tasks=branches.tasks[:share]), worker)
-    return BarePhysics(recorders[0].model, [episode for each in recorders for episode in each.episodes])
+    frame_skip = algorithm.problem.sample().robot.frame_skip
+    return BarePhysics(recorders[0].model, [episode for each in recorders for episode in each.episodes], frame_skip)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from shes.cli.program import COMMANDS, TERMINATED, find_command
 from shes.console import LineConsole
-from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM
+from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM, ROBOT_ENVIRONMENTS
 from shes.errors import ConfigError
 from shes.runs.config import RunSettings, TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
 from shes.runs.make_config import make_config, transferred_levels
@@ -125,9 +125,10 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
 
     In `--hidden 4 3 ENV` it would be a value of the flag; what follows a flag at once is no environment.
     """
+    names = {*ENVIRONMENTS, *ROBOT_ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS}
     for i, (before, word) in enumerate(zip(["", *words], words, strict=False)):
         is_value = before.startswith("--") and not before.startswith("--no-") and "=" not in before
-        if not is_value and (word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS or word.startswith(GYMNASIUM)):
+        if not is_value and (word in names or word.startswith(GYMNASIUM)):
             first = next((j for j, each in enumerate(words[:i]) if each.startswith("-")), i)
             return word, [*words[:first], word, *words[first:i], *words[i + 1 :]]
     return DEFAULT_ENV, list(words)

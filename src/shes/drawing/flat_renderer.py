@@ -27,15 +27,15 @@ class FlatRenderer(Renderer):
     def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture of the world at `qpos`."""
         self.data.qpos[:] = qpos
-        view = (float(qpos[0]), float(qpos[1]), _FOLLOW_HALF_M) if camera == "follow" else self.top_view
+        view = (float(qpos[0]), float(qpos[1]), _FOLLOW_HALF_M * self.scale) if camera == "follow" else self.top_view
         scenery = outlines(self.model, self.data)
         has_platforms = any(outline.kind == "platform" for outline in scenery)
         sheet = _Sheet(view, self.width, self.height, _CHASM if has_platforms else _GROUND)
         for outline in scenery:
             sheet.polygon(outline.corners, _BOX_COLORS[outline.kind])
         for marker in sorted(markers, key=lambda each: each.position[2]):
-            start, end = np.array(marker.position), np.array(marker.end or marker.position)
-            sheet.bar(start, end, marker.radius, _rgb(marker.color))
+            start, end = self.scale * np.array([marker.position, marker.end or marker.position])
+            sheet.bar(start, end, self.scale * marker.radius, _rgb(marker.color))
         drawn = {outline.geom for outline in scenery}
         for geom in np.argsort(self.data.geom_xpos[:, 2], kind="stable").tolist():
             if geom not in drawn:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.envs.markers import Marker
+from shes.envs.worlds import SCALE
 from shes.types import F64Array
 
 Picture = NDArray[np.uint8]
@@ -51,6 +52,8 @@ class Renderer(Drawer):
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         self.width, self.height = width, height
+        self.scale = scale_of(model)
+        """Factor on the lengths of markers, and of what the camera shows."""
         self.extent = extent_of(model)
         """Area shown from above: least x and y, greatest x and y, in metres."""
 
@@ -72,6 +75,12 @@ def between(model: mujoco.MjModel, start: F64Array, end: F64Array, fraction: flo
     mujoco.mj_differentiatePos(model, velocity, 1.0, start, end)
     mujoco.mj_integratePos(model, pose, velocity, fraction)
     return pose
+
+
+def scale_of(model: mujoco.MjModel) -> float:
+    """Return the factor on the lengths of the world of `model`."""
+    has_scale = any(model.numeric(i).name == SCALE for i in range(model.nnumeric))
+    return float(model.numeric(SCALE).data[0]) if has_scale else 1.0
 
 
 class Outline(NamedTuple):
@@ -118,6 +127,6 @@ def extent_of(model: mujoco.MjModel) -> Extent:
     for sign, sides in ((-1, low), (1, high)):
         outermost = sign * (sign * sides).max(axis=0)
         thickness = np.where(np.isclose(sides, outermost), high - low, np.inf).min(axis=0)
-        corners += (outermost - sign * np.maximum(thickness - _RIM_M, 0.0)).tolist()
+        corners += (outermost - sign * np.maximum(thickness - _RIM_M * scale_of(model), 0.0)).tolist()
     left, bottom, right, top = corners
     return left, bottom, right, top

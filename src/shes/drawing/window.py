@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import mujoco
 
 from shes.drawing.mujoco_renderer import ROBOT_BODY, add_markers, decorate
-from shes.drawing.renderer import between
+from shes.drawing.renderer import between, scale_of
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
 from shes.errors import ConfigError
@@ -68,7 +68,7 @@ class Viewer:
                 self._data.qpos[:] = between(self._model, start, qpos, frame / _FRAMES_PER_STEP)
                 mujoco.mj_forward(self._model, self._data)
                 self._window.user_scn.ngeom = 0
-                add_markers(self._window.user_scn, markers)
+                add_markers(self._window.user_scn, markers, scale_of(self._model))
             self._window.sync()
             self._due += self._step_s / _FRAMES_PER_STEP
             sleep(max(0.0, self._due - monotonic()))

@@ -73,8 +73,10 @@ class EpisodeBatch(ABC):
     """Whether the task has a target, and `places` to search for a way to it."""
     draws_itself: ClassVar[bool] = False
     """Whether `pose` returns a picture drawn by the environment, not the qpos of `world_to_draw`."""
-    ground_m: ClassVar[float] = 0.0
-    """Height in metres of the ground at the robot's start."""
+    ground_m: float = 0.0
+    """Height of the ground at the robot's start, in metres times `scale`."""
+    scale: float = 1.0
+    """Metres that count as one in positions, goals, distances and rewards; see `Body.scale`."""
     robot: Body | None = None
     """The robot; None in an external environment."""
     num_episodes: int

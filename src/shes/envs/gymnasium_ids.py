@@ -32,9 +32,14 @@ BUILTIN_ENVIRONMENTS = {
 
 A new one is a line here; its Gymnasium ids, tests and documentation follow from it.
 """
+TASKS = tuple(dict.fromkeys(name.partition("-")[2] for name in BUILTIN_ENVIRONMENTS))
+"""Tasks for a robot from a file, which the argument `robot` names."""
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (SHES paper, Table I)."""
-SPECS_OF: dict[str, Collection[str]] = dict.fromkeys(BUILTIN_ENVIRONMENTS, BUILTIN_SPECS)
+SPECS_OF: dict[str, Collection[str]] = {
+    **dict.fromkeys(BUILTIN_ENVIRONMENTS, BUILTIN_SPECS),
+    **dict.fromkeys(TASKS, BUILTIN_SPECS[:1]),
+}
 """The specifications of every environment by name; `register_ids` adds to it."""
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Point = tuple[float, float, float]
-"""x, y and z in metres."""
+"""x, y and z."""
 Rgba = tuple[float, float, float, float]
 
 FOOD: Rgba = (0.18, 0.65, 0.30, 1.0)
@@ -19,7 +19,7 @@ ROBOT: Rgba = (0.93, 0.50, 0.16, 1.0)
 
 @dataclass(frozen=True)
 class Marker:
-    """A ball, an upright disc or a line, in metres."""
+    """A ball, an upright disc or a line, in metres times the scale of the world."""
 
     shape: Literal["ball", "disc", "line"]
     position: Point

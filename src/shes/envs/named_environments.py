@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from shes.envs.bodies.body import Body, yaw
+from shes.envs.bodies.robot import Robot
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
@@ -44,7 +44,7 @@ class Environment(NamedTuple):
 
     def with_body_options(self, options: Settings) -> Environment:
         """Return this environment with a body made from `options`."""
-        return self._replace(body=partial(self.body, options))  # type: ignore[arg-type] - called like the class
+        return self._replace(body=self.body.maker(options))  # type: ignore[arg-type] - called like the class
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
@@ -74,6 +74,19 @@ ENVIRONMENTS: Registry[Environment] = Registry(
     check=_check_environment,
 )
 """Every environment that is a body and a task, by name."""
+
+
+ROBOT_ENVIRONMENTS: dict[str, Environment] = {
+    task.rpartition(":")[2].lower(): Environment(Robot, resolve_name(f"shes.envs.tasks.{task}"))
+    for _, task in BUILTIN_ENVIRONMENTS.values()
+}
+"""The tasks by name, for a robot from a file, which the setting `robot` names."""
+
+
+def with_robot(env: str, robot: object) -> str:
+    """Return the environment of task `env` with `robot` if that comes with this package, else `env`."""
+    named = f"{robot}-{env}"
+    return named if env in ROBOT_ENVIRONMENTS and named in BUILTIN_ENVIRONMENTS else env
 
 
 def _check_external(_kind: str, environment: ExternalEnvironment) -> None:
@@ -178,6 +191,8 @@ def find_environment(name: str) -> EnvironmentMaker:
         return ExternalEnvironment(name=name, source=name.removeprefix(GYMNASIUM))
     if name in EXTERNAL_ENVIRONMENTS:
         return EXTERNAL_ENVIRONMENTS[name]
+    if name in ROBOT_ENVIRONMENTS:
+        return ROBOT_ENVIRONMENTS[name]
     if name not in ENVIRONMENTS:
         _refuse_id(name)
         raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)

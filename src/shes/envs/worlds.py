@@ -18,10 +18,9 @@ Grid = tuple[str, ...]
 CELL_SIZE_M = 8.0
 WALL_HEIGHT_M = 4.0
 """Height of walls, platforms and blocks."""
+SCALE = "scale"
+"""Name of the number in a model by which its lengths are those below times this; without it they are these."""
 FLOOR_HALF_SIZE_M = 40.0
-TIMESTEP_S = 0.02
-"""Physics step."""
-
 ARENA: Grid = ("#####", "#...#", "#.r.#", "#...#", "#####")
 """A square without obstacles, of Gather and Flagrun."""
 
@@ -41,12 +40,12 @@ INTEGRATORS = {
 }
 
 
-def empty_world(name: str, integrator: str, *, stiff_contacts: bool = False) -> mujoco.MjSpec:
+def empty_world(name: str, integrator: str, timestep_s: float = 0.02, *, stiff_contacts: bool = False) -> mujoco.MjSpec:
     """Return a world with a floor and the contact parameters of the tasks, or the stiff ones of tasks with a block."""
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = True
-    spec.option.timestep = TIMESTEP_S
+    spec.option.timestep = timestep_s
     spec.option.integrator = INTEGRATORS[integrator]
     geom = spec.default.geom
     geom.condim = 3
@@ -61,24 +60,28 @@ def empty_world(name: str, integrator: str, *, stiff_contacts: bool = False) -> 
     return spec
 
 
-def add_grid(spec: mujoco.MjSpec, grid: Grid) -> None:
-    """Add the walls, platforms and blocks of `grid` to `spec`."""
+def add_grid(spec: mujoco.MjSpec, grid: Grid, scale: float = 1.0, block_factor: float = 1.0) -> None:
+    """Add the walls, platforms and blocks of `grid` to `spec`, their lengths times `scale`.
+
+    `block_factor` is the factor on the mass of blocks.
+    """
     has_chasm = any("C" in row for row in grid)
     if has_chasm:
-        _add_boxes(spec, "platform", merged_boxes(grid, "#.rB"), 0.0)
+        _add_boxes(spec, "platform", merged_boxes(grid, "#.rB"), 0.0, scale)
     ground = WALL_HEIGHT_M if has_chasm else 0.0
-    _add_boxes(spec, "wall", merged_boxes(grid, "#"), ground)
+    _add_boxes(spec, "wall", merged_boxes(grid, "#"), ground, scale)
     for i, row in enumerate(grid):
         if "B" in row:
-            _add_block(spec, _center(grid, i, row.index("B")), ground, can_fall=has_chasm)
+            mass = block_factor * (FALLING_BLOCK_MASS_KG if has_chasm else BLOCK_MASS_KG)
+            _add_block(spec, _center(grid, i, row.index("B")), ground, scale, mass, can_fall=has_chasm)
 
 
-def add_square_walls(spec: mujoco.MjSpec, half_width: float) -> None:
-    """Add walls around the square of `half_width` metres that is centred at the origin."""
+def add_square_walls(spec: mujoco.MjSpec, half_width: float, scale: float) -> None:
+    """Add walls around the square of `half_width` metres that is centred at the origin, lengths times `scale`."""
     half = CELL_SIZE_M / 2
     middle, outer = half_width + half, half_width + CELL_SIZE_M
     boxes = [(0.0, y, outer, half) for y in (-middle, middle)]
-    _add_boxes(spec, "wall", boxes + [(x, 0.0, half, half_width) for x in (-middle, middle)], 0.0)
+    _add_boxes(spec, "wall", boxes + [(x, 0.0, half, half_width) for x in (-middle, middle)], 0.0, scale)
 
 
 def is_free(grid: Grid, x: float, y: float) -> bool:
@@ -121,26 +124,30 @@ def _center(grid: Grid, i: int, j: int) -> tuple[float, float]:
     return (j - column) * CELL_SIZE_M, (i - row) * CELL_SIZE_M
 
 
-def _add_boxes(spec: mujoco.MjSpec, name: str, boxes: list[tuple[float, float, float, float]], ground: float) -> None:
-    """Add static boxes (x, y, half width, half depth) on ground of height `ground`."""
+def _add_boxes(
+    spec: mujoco.MjSpec, name: str, boxes: list[tuple[float, float, float, float]], ground: float, scale: float
+) -> None:
+    """Add static boxes (x, y, half width, half depth) on ground of height `ground`, lengths times `scale`."""
     for number, (x, y, half_width, half_depth) in enumerate(boxes):
         spec.worldbody.add_geom(
             name=f"{name}_{number}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[x, y, ground + WALL_HEIGHT_M / 2],
-            size=[half_width, half_depth, WALL_HEIGHT_M / 2],
+            pos=[scale * x, scale * y, scale * (ground + WALL_HEIGHT_M / 2)],
+            size=[scale * half_width, scale * half_depth, scale * WALL_HEIGHT_M / 2],
             conaffinity=1,
         )
 
 
-def _add_block(spec: mujoco.MjSpec, center: tuple[float, float], ground: float, *, can_fall: bool) -> None:
+def _add_block(
+    spec: mujoco.MjSpec, center: tuple[float, float], ground: float, scale: float, mass: float, *, can_fall: bool
+) -> None:
     """Add a block that fills a cell and slides along x and y or, if it can fall, along y and z.
 
     Deviation: the limit along y of a block that can fall is as stiff as the contacts. With MuJoCo's soft default, a
     block that is pushed hard slides onto the far platform (measured: by 0.6 m and more) and opens a gap behind it.
     """
-    body = spec.worldbody.add_body(name="block", pos=[*center, ground + WALL_HEIGHT_M / 2])
-    half = CELL_SIZE_M / 2 * (FALLING_BLOCK_SHRINK if can_fall else 1.0)
+    body = spec.worldbody.add_body(name="block", pos=[scale * each for each in (*center, ground + WALL_HEIGHT_M / 2)])
+    half = scale * CELL_SIZE_M / 2 * (FALLING_BLOCK_SHRINK if can_fall else 1.0)
     for axis in "yz" if can_fall else "xy":
         joint = body.add_joint(
             name=f"block_{axis}",
@@ -150,14 +157,14 @@ def _add_block(spec: mujoco.MjSpec, center: tuple[float, float], ground: float, 
         )
         if can_fall:
             joint.limited = True
-            joint.range = [-WALL_HEIGHT_M, 0.0] if axis == "z" else [-CELL_SIZE_M, CELL_SIZE_M]
+            joint.range = [-scale * WALL_HEIGHT_M, 0.0] if axis == "z" else [-scale * CELL_SIZE_M, scale * CELL_SIZE_M]
             if axis == "y":
                 joint.solimp_limit = _STIFF_SOLIMP
     body.add_geom(
         name="block",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[half, half, WALL_HEIGHT_M / 2],
-        mass=FALLING_BLOCK_MASS_KG if can_fall else BLOCK_MASS_KG,
+        size=[half, half, scale * WALL_HEIGHT_M / 2],
+        mass=mass,
         margin=BLOCK_MARGIN_M,
         conaffinity=1,
     )

@@ -51,7 +51,7 @@ def goal_design(problem: Problem) -> GoalDesign:
         controller=None if is_alone(settings) else _controller(settings, task),
         primitive=MLP(inputs, _primitive_layers(settings), task.action_size),
         primitive_view=view,
-        symmetry=None if hierarchy.symmetry == "none" else _symmetry(settings, task),
+        symmetry=_symmetry(settings, task),
         goal_encoding=encoding,
         primitive_reward=make(PRIMITIVE_REWARDS, hierarchy.primitive_reward, settings.values),
         controller_interval=hierarchy.controller_interval,
@@ -97,14 +97,16 @@ def _primitive_layers(settings: Any) -> tuple[int, ...]:
     return settings.networks.hidden if own is None else own
 
 
-def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup:
+def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
     kind = settings.hierarchy.symmetry
-    group = None if task.robot is None else task.robot.symmetry(is_mirrored=kind == "dihedral")
-    if group is None:
+    if kind == "none":
+        return None
+    group = None if task.robot is None else task.robot.symmetry(is_mirrored=kind != "rotation")
+    if group is None and kind != "auto":
         robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
         raise ConfigError(
             f"symmetry is {kind!r}, but {robot} of {settings.run.env} has no known symmetry. "
-            "Omit --symmetry, or choose an environment with the ant."
+            "Omit --symmetry, or set it to auto."
         )
     return group
 

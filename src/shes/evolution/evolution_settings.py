@@ -103,7 +103,7 @@ class PrimitiveSettings(Settings):
     """Intrinsic reward of the primitive (section II-B)."""
     primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
     """Values that the primitive observes in addition to its goal."""
-    symmetry: Annotated[Literal["none", "rotation", "dihedral"], Needs("primitive_view", ("egocentric",))] = "none"
+    symmetry: Annotated[Literal["none", "rotation", "dihedral", "auto"], Needs("primitive_view", ("egocentric",))] = "none"
     """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
 
 
@@ -268,6 +268,20 @@ _ANT_TO_TARGET = {
     "generations": 200,
 }
 
+# For a robot from a file, with control steps of 0.02 s: a goal lasts a second. See docs/robots.md.
+_ROBOT_WALKER: dict[str, Any] = {
+    **_ANT_WALKER,
+    "symmetry": "auto",
+    "clock_frequency": 2.0,
+    "primitive_reward": "metres",
+    "horizon": 1000,
+    "evaluation_horizon": 1000,
+    "controller_interval": 50,
+    "goal_distance": 8.0,
+}
+_ROBOT = {**_ANT, **_ROBOT_WALKER, "controller_interval": 25}
+_WITHOUT_WALKING = {"explore_horizon": 4000, "horizon": 2000, "evaluation_horizon": 2000}
+
 SHES_PRESETS: Mapping[str, Preset] = {
     **SES_PRESETS,
     "laptop": Preset(
@@ -286,6 +300,20 @@ SHES_PRESETS: Mapping[str, Preset] = {
             "ant-maze": {**_ANT_TO_TARGET, "target": (0.0, 16.0)},  # that of evaluation: a search needs one target
             "ant-push": _ANT_TO_TARGET,
             "ant-fall": {**_ANT_TO_TARGET, "explore_horizon": 2500},
+            "flagrun": {
+                **_ROBOT_WALKER,
+                "intervals": 1,
+                "hidden": (),
+                "population_size": 600,
+                "sigma": 0.05,
+                "learning_rate": 0.02,
+                "generations": 200,
+                "fall_price": 4.0,
+            },
+            "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "population_size": 40, "goal_distance": 4.0},
+            "maze": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING, "target": (0.0, 16.0)},
+            "push": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING},
+            "fall": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING},
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "robotics-point-maze": {"minimum_goal_distance": False},
         }

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from shes.drawing.make_drawer import make_drawer
 from shes.drawing.renderer import CAMERAS, Drawer, Picture
 from shes.drawing.window import Window, open_window
-from shes.envs.named_environments import ENVIRONMENTS
+from shes.envs.named_environments import Environment, find_environment, with_robot
 from shes.envs.tasks.task import Task
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import setting_fields
@@ -130,7 +130,12 @@ def _as_numbers(actions: ArrayLike) -> F64Array:
 
 def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads: int) -> Task:
     """Return the task of environment `name`; check the names of the options of task, body and pictures."""
-    environment = ENVIRONMENTS.find(name)
+    named = with_robot(name, options.get("robot"))
+    if named != name:
+        options = {key: value for key, value in options.items() if key != "robot"}
+    environment = find_environment(named)
+    if not isinstance(environment, Environment):
+        raise ConfigError(f"{name!r} is an environment of Gymnasium itself. Make it by its own id.")
     of_body = environment.body.Options
     names = {*setting_fields(environment.task.Options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
     for option in options:

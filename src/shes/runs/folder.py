@@ -18,6 +18,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
+from shes.envs.bodies.robot import read_robot
 from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import Checkpoint, load_checkpoint
@@ -44,6 +45,7 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
         self.log = path / "log.txt"
+        self.robot = path / "robot.zip"
         self._lock = path / ".lock"
 
     @classmethod
@@ -149,7 +151,8 @@ class RunFolder:
         """Return the settings of the run; raise RunFolderError or ConfigError if its record is not one."""
         record = self.read_record()
         try:
-            return TrainConfig.from_dict(record["config"])
+            config = TrainConfig.from_dict(record["config"])
+            return config.having(robot=str(self.robot)) if self.robot.is_file() else config
         except (KeyError, TypeError, AttributeError) as error:
             raise RunFolderError(f"{self.config} is damaged: {error!r}. Restore it from a copy.") from error
         except (ConfigError, UnknownNameError) as error:
@@ -163,6 +166,9 @@ class RunFolder:
     def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
         """Write the record of a new run, with the origins of levels that other runs trained."""
         here = provenance(config.workers.device, config.algorithm.packages)
+        if config.values.get("robot"):
+            content = read_robot(config.values["robot"]).content
+            write_atomically(self.robot, lambda file: file.write(content))
         self.write_record({"format": _FORMAT, "config": config.to_dict(), **origins, **here, "resumed": []})
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:

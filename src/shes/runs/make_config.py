@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
-from shes.envs.named_environments import Environment, find_environment
+from shes.envs.named_environments import Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.build import OpenedRun, check_asked_device, open_run
@@ -31,6 +31,10 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     if not isinstance(preset, str) or preset not in PRESET_NAMES:
         raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
     asked = dict(overrides or {})
+    named = with_robot(env, asked.get("robot"))
+    if named != env:
+        env = named
+        del asked["robot"]
     asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
     values = {"env": env, "preset": preset, **preset_values(env, preset, asked), **asked}
     known = by_name(check_names(values))

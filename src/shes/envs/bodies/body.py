@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import mujoco
@@ -43,6 +44,13 @@ class SymmetryGroup:
     """Index of the control in the element's frame that each control of the robot comes from [T, A]: the inverse."""
     control_sign: F64Array
     """Sign of each control [T, A]."""
+    view_matrix: F64Array | None = None
+    """The action on the view [T, V, V] if it is no signed permutation: turns that are no quarter turns mix x and y."""
+
+    @property
+    def shifts_clock(self) -> bool:
+        """Whether a reflection shifts the clock by half a period: left and right legs take turns in a gait."""
+        return self.num_turns == 1 and self.is_mirrored
 
     @property
     def num_elements(self) -> int:
@@ -79,8 +87,8 @@ def dihedral_group(
 
     Args:
         num_turns: Order of the rotation, K.
-        turn: Signed permutations of the rotation to the left by 1 / K of a turn: of the egocentric view [V, V] and of
-            the controls [A, A].
+        turn: Matrices of the rotation to the left by 1 / K of a turn: of the egocentric view [V, V] and of the
+            controls [A, A], the latter a signed permutation.
         mirror: Signed permutations of the reflection, left to right.
         is_mirrored: Whether the group contains the reflections.
     """
@@ -89,6 +97,7 @@ def dihedral_group(
         for turned, flips in ((turn[i], [np.eye(len(turn[i])), mirror[i]][: 1 + is_mirrored]) for i in (0, 1))
     )
     inverses = controls.transpose(0, 2, 1)
+    is_permutation = np.isin(views, (-1.0, 0.0, 1.0)).all()
     return SymmetryGroup(
         num_turns=num_turns,
         is_mirrored=is_mirrored,
@@ -96,6 +105,7 @@ def dihedral_group(
         view_sign=views.sum(axis=2),
         control_index=np.abs(inverses).argmax(axis=2),
         control_sign=inverses.sum(axis=2),
+        view_matrix=None if is_permutation else views,
     )
 
 
@@ -131,30 +141,49 @@ def yaw(quaternion: F64Array) -> F64Array:
 class Body(ABC):
     """A robot. Its coordinates are the first of the model's qpos and qvel."""
 
-    name: ClassVar[str]
+    name: str
     """Name, e.g. `ant`."""
     Options: ClassVar[type[Settings]] = Settings
     """Class of its options: a subclass of `Settings`, whose fields become flags of training."""
-    pose: ClassVar[tuple[ObservationElement, ...]]
+    pose: tuple[ObservationElement, ...]
     """Elements of its generalised coordinates, qpos."""
-    velocity: ClassVar[tuple[ObservationElement, ...]]
+    velocity: tuple[ObservationElement, ...]
     """Elements of its generalised velocities, qvel."""
-    controls: ClassVar[tuple[str, ...]]
+    controls: tuple[str, ...]
     """Name of each control."""
-    control_unit: ClassVar[str]
+    control_unit: str
     """Unit of a control before it is scaled to [-1, 1]."""
-    control_limit: ClassVar[float]
+    control_limit: float
     """Controls lie in [-control_limit, control_limit]."""
-    quaternion: ClassVar[slice | None]
+    quaternion: slice | None = None
     """Slice of qpos that holds the torso's unit quaternion; None without one."""
-    goal_half_range: ClassVar[tuple[float, ...]] = ()
+    goal_half_range: tuple[float, ...] = ()
     """Largest change that a goal of HIRO asks of each element of `pose` after x and y; empty: of x and y alone."""
-    egocentric: ClassVar[tuple[ObservationElement, ...]] = ()
+    egocentric: tuple[ObservationElement, ...] = ()
     """Elements of the egocentric view, which `write_egocentric` writes; empty without one."""
+    home: F64Array | None = None
+    """The pose [num_qpos] at a reset; None is the model's own, qpos0."""
+    control_map: tuple[F64Array, F64Array] | None = None
+    """Offset and factor [A] that make the model's controls from those of a policy; None if they are the same."""
+    scale: float = 1.0
+    """Metres that count as one: worlds, distances and rewards are made for the ant, and are this much larger here."""
+    timestep_s: float = 0.02
+    """Physics step."""
+    frame_skip: int = 5
+    """Physics steps per control step."""
+    velocity_clip: float = 10.0
+    """Generalised velocities are clipped to this in observations, in m/s and rad/s; not with specification hiro."""
+    block_factor: float = 1.0
+    """Factor on the mass of blocks, made for the ant."""
 
     def __init__(self, options: Settings | None = None) -> None:
         """Make the robot with `options` of class `Options`; None is their defaults."""
         self.options = self.Options() if options is None else options
+
+    @classmethod
+    def maker(cls, options: Settings) -> Callable[[], Body]:
+        """Return a function that makes this body with `options`, to send to other processes."""
+        return partial(cls, options)
 
     @property
     def num_qpos(self) -> int:
@@ -169,6 +198,10 @@ class Body(ABC):
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add the robot and its actuators to `spec`, at the origin, on ground of height `ground_m`."""
+
+    def add_drawn_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add the robot as it looks in pictures: here as in `add_to`."""
+        self.add_to(spec, ground_m)
 
     def add_motors(self, spec: mujoco.MjSpec, gear: float = 1.0) -> None:
         """Add a motor to `spec` for each of `controls`, if these are names of joints."""
@@ -215,6 +248,6 @@ class Body(ABC):
         """
         return None
 
-    def position(self, qpos: F64Array) -> F64Array:
-        """Return the positions [N, 2] in metres of robots at `qpos` [N, num_qpos], as a view."""
-        return qpos[..., :2]
+    def position(self, qpos: F64Array, num_axes: int = 2) -> F64Array:
+        """Return x and y, or x, y and z, of robots at `qpos` [N, num_qpos], in multiples of `scale`."""
+        return qpos[..., :num_axes] if self.scale == 1 else qpos[..., :num_axes] / self.scale

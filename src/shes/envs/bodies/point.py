@@ -5,8 +5,6 @@ Source: own design; `docs/environments/index.md`, *The point*.
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import mujoco
 import numpy as np
 
@@ -28,16 +26,16 @@ class Point(Body):
     """A sphere on two slide joints; qpos and qvel are x and y. Its heading is always 0, and it cannot fall over."""
 
     name = "point"
-    pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y"], "{} in the world", "m")
-    velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
+    pose = elements(["torso_x", "torso_y"], "{} in the world", "m")
+    velocity = elements(
         ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
     )
-    egocentric: ClassVar[tuple[ObservationElement, ...]] = velocity
-    controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
-    control_unit: ClassVar[str] = "6 N"
-    control_limit: ClassVar[float] = 1.0
-    quaternion: ClassVar[slice | None] = None
-    start_height_m: ClassVar[float] = HEIGHT_M
+    egocentric = velocity
+    controls = ("slide_x", "slide_y")
+    control_unit = "6 N"
+    control_limit = 1.0
+    quaternion = None
+    start_height_m = HEIGHT_M
     """Initial height of the centre above the ground."""
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
@@ -73,9 +71,9 @@ class Point(Body):
 class FallingPoint(Point):
     """The point of Fall, with a third slide joint along z; qpos and qvel are x, y and height."""
 
-    pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m")
-    velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
+    pose = elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m")
+    velocity = elements(
         ["torso_vx", "torso_vy", "torso_vz"], "{}: velocity along a world axis", "m/s"
     )
-    egocentric: ClassVar[tuple[ObservationElement, ...]] = (pose[2], *velocity)
-    start_height_m: ClassVar[float] = FALLING_HEIGHT_M
+    egocentric = (pose[2], *velocity)
+    start_height_m = FALLING_HEIGHT_M

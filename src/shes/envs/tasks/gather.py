@@ -91,8 +91,8 @@ class Gather(Task):
         """Return the arena, a free square between walls; objects are not geoms."""
         if options.spec == "shes":
             return super().build_world(body, options)
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
-        add_square_walls(spec, HIRO_WALLS_M)
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, body.timestep_s)
+        add_square_walls(spec, HIRO_WALLS_M, body.scale)
         body.add_to(spec)
         return spec
 

@@ -109,10 +109,11 @@ class TargetTask(Task):
         Success is measured to the target of evaluation.
         """
         nq, size = self.body.num_qpos, len(self.own_target)
-        position, block = states[:, :size], states[:, nq : nq + len(self.block_axes)]
+        position = self.body.position(states, size)
+        block = states[:, nq : nq + len(self.block_axes)] / self.scale
         steps = (position[:, :2] / CELL_M, position[:, 2:] / BLOCK_CELL_M, block / BLOCK_CELL_M)
         offset = position - np.array(self.options.evaluation_target or self.own_target)
-        is_upright = ~self.body.fallen(states[:, :nq], self.ground_m)
+        is_upright = ~self.body.fallen(states[:, :nq], self.ground_m * self.scale)
         if self.body.quaternion is not None:
             is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
         return Places(
@@ -166,7 +167,7 @@ class TargetTask(Task):
 
     def _distance_to(self, points: F64Array) -> F64Array:
         """Return the distances [N] of the robots to points [N, 2] or [N, 3]."""
-        offset = self.sim.qpos[:, : points.shape[1]] - points
+        offset = self.body.position(self.sim.qpos, points.shape[1]) - points
         offset *= offset
         total = offset[:, 0]
         for axis in range(1, offset.shape[1]):
@@ -235,7 +236,7 @@ class TargetTask(Task):
         out[:, :nq] = self.sim.qpos[:, :nq]
         self.write_velocity(self.sim.qvel[:, :nv], out[:, nq : nq + nv])
         np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv])
-        np.multiply(self.target, self._target_scale, out=out[:, nq + nv + 1 :])
+        np.multiply(self.target, self._target_scale * self.scale, out=out[:, nq + nv + 1 :])
         return out
 
 

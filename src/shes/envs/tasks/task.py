@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.episode_batch import EpisodeBatch, Reader
-from shes.envs.worlds import ARENA, INTEGRATORS, TIMESTEP_S, Grid, add_grid, empty_world
+from shes.envs.worlds import ARENA, INTEGRATORS, SCALE, Grid, add_grid, empty_world
 from shes.errors import ShapeError, UnknownNameError
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Unasked
 from shes.sim.simulator import CpuSimulator, Simulator
@@ -30,12 +31,6 @@ FURTHEST_M = 1000.0
 
 Coordinates = Annotated[tuple[float, ...], Ge(-FURTHEST_M), Le(FURTHEST_M), Example("0 16")]
 """Coordinates of a point in metres."""
-FRAME_SKIP = 5
-"""Physics steps per control step."""
-CONTROL_STEP_S = FRAME_SKIP * TIMESTEP_S
-"""Time of a control step: 0.1 s."""
-VELOCITY_CLIP = 10.0
-"""Generalised velocities are clipped to this in observations, in m/s and rad/s; not with specification hiro."""
 TIME_SCALE = 0.001
 """Factor on the number of control steps in observations."""
 TIME_ELEMENTS = elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
@@ -134,7 +129,6 @@ class Task(EpisodeBatch):
     Options: ClassVar[Any] = TaskOptions
     grid: ClassVar[Grid] = ARENA
     """The grid of the world; see `shes.envs.worlds`."""
-    step_s = CONTROL_STEP_S
 
     def __init__(
         self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
@@ -144,11 +138,14 @@ class Task(EpisodeBatch):
             options = self.Options(**vars(options))
         self.check_options(options)
         self.body = self.robot = body
+        self.scale = body.scale
+        self.step_s = body.frame_skip * body.timestep_s
         self.options: Any = options  # of class `Options`; subclasses narrow the annotation
         self.num_episodes = num_episodes
         self.action_size, self.control_limit = len(body.controls), body.control_limit
         self.sim = simulator(self.build_world(body, options).compile(), num_episodes)
         self.xp, self.starts_together = self.sim.xp, self.sim.starts_together
+        self._control_map = body.control_map and tuple(self.xp.asarray(each) for each in body.control_map)
         self.observation_names = tuple(element.name for element in self.observation_spec)
         self.observation_size = len(self.observation_names)
         own = [self.observation_names.index(element.name) for element in (*body.pose, *body.velocity)]
@@ -181,9 +178,11 @@ class Task(EpisodeBatch):
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the world of `grid` with `body` in it, ready to compile."""
         is_stiff = getattr(options, "stiff_contacts", "B" in "".join(cls.grid))
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=is_stiff)
-        body.add_to(spec, cls.ground_m)
-        add_grid(spec, cls.grid)
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, body.timestep_s, stiff_contacts=is_stiff)
+        body.add_to(spec, cls.ground_m * body.scale)
+        add_grid(spec, cls.grid, body.scale, body.block_factor)
+        if body.scale != 1:
+            spec.add_numeric(name=SCALE, data=[body.scale], size=1)
         return spec
 
     @property
@@ -242,7 +241,7 @@ class Task(EpisodeBatch):
 
     def is_down(self) -> BoolArray:
         """Return whether robots lie [N], by the rule of the body or by `max_tilt`, even if that ends no episode."""
-        fallen = self.body.fallen(self.sim.qpos, self.ground_m)
+        fallen = self.body.fallen(self.sim.qpos, self.ground_m * self.scale)
         if self._min_cos_tilt is None:
             return fallen
         return fallen | (self.body.cos_tilt(self.sim.qpos) < self._min_cos_tilt)
@@ -254,7 +253,9 @@ class Task(EpisodeBatch):
 
     def world_to_draw(self) -> mujoco.MjSpec:
         """Return a new world to draw poses in."""
-        return self.build_world(self.body, self.options)
+        drawn = copy(self.body)
+        drawn.add_to = self.body.add_drawn_to  # type: ignore[method-assign] - worlds are built in several places
+        return self.build_world(drawn, self.options)
 
     def pose(self, episode: int) -> F64Array:
         """Return a copy of the qpos [nq] of episode `episode`, as a NumPy array."""
@@ -268,15 +269,16 @@ class Task(EpisodeBatch):
         """Return the elements of velocities as `write_velocity` writes them."""
         if self.options.spec == "hiro":
             return velocity
-        return tuple(replace(each, low=-VELOCITY_CLIP, high=VELOCITY_CLIP) for each in velocity)
+        limit = self.body.velocity_clip
+        return tuple(replace(each, low=-limit, high=limit) for each in velocity)
 
     def write_velocity(self, velocity: F64Array, out: F64Array) -> None:
         """Write velocities into `out`: clipped with specification shes, unchanged with hiro."""
         if self.options.spec == "hiro":
             out[:] = velocity
         else:
-            np.maximum(velocity, -VELOCITY_CLIP, out=out)  # two ufuncs are faster than np.clip
-            np.minimum(out, VELOCITY_CLIP, out=out)
+            np.maximum(velocity, -self.body.velocity_clip, out=out)  # two ufuncs are faster than np.clip
+            np.minimum(out, self.body.velocity_clip, out=out)
 
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the physics states of episodes `ids` [ids, S]."""
@@ -298,8 +300,12 @@ class Task(EpisodeBatch):
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
         """Advance episodes `ids` by one control step, without waiting for a device; see `EpisodeBatch.step`."""
-        self.sim.ctrl[:] = action
-        self.sim.step(ids, FRAME_SKIP)
+        if self._control_map is None:
+            self.sim.ctrl[:] = action
+        else:
+            offset, factor = self._control_map
+            self.sim.ctrl[:] = offset + factor * action
+        self.sim.step(ids, self.body.frame_skip)
         self._heading = None
         self.time += 1
         self.reward[:] = np.where(self.sim.diverged, 0.0, self.update_features())
@@ -308,11 +314,17 @@ class Task(EpisodeBatch):
     def _place_robots(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Add the reset noise to the robots' default pose; blocks stay in place."""
         noise, robot = self.options.reset_noise, self.body
-        if not noise:
+        if not noise and robot.home is None:
             return
         # Everything is drawn before anything is written: on a device every write is a transfer.
         drawn = [(rng.uniform(-noise, noise, robot.num_qpos), rng.normal(0, noise, robot.num_qvel)) for rng in rngs]
-        qpos = self.sim.model.qpos0[: robot.num_qpos] + np.array([pose for pose, _ in drawn])
+        offset = np.array([pose for pose, _ in drawn])
+        offset[:, :3] *= robot.scale
+        home = self.sim.model.qpos0[: robot.num_qpos].copy()
+        if robot.home is not None:
+            home[:] = robot.home
+            home[2] += (self.ground_m + noise) * robot.scale  # so that no noise puts a foot below the ground
+        qpos = home + offset
         if robot.quaternion is not None:
             quaternion = qpos[:, robot.quaternion]
             quaternion /= np.sqrt(np.vecdot(quaternion, quaternion))[:, None]

@@ -1,0 +1,369 @@
+"""A robot from its MJCF file: its joints, actuators, home pose, size, and the rule by which it has fallen.
+
+Source: own design; `docs/robots.md`.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Annotated, NamedTuple
+
+import mujoco
+import numpy as np
+
+from shes.envs.bodies.body import Body
+from shes.envs.bodies.free_body import FreeBody, free_elements
+from shes.errors import ConfigError
+from shes.settings import Example, Execution, Ge, Gt, Le, Settings, Shown
+from shes.types import BoolArray, F64Array
+
+MENAGERIE = "menagerie:"
+"""Prefix of the name of a robot in the package mujoco-menagerie."""
+ANT_EXTENT_M = 1.873
+"""Largest extent of the ant's legs along x or y: the size that worlds, distances and rewards are made for."""
+ANT_MASS_KG = 0.911
+MAX_TILT = 60.0
+"""Degrees beyond which a robot has fallen."""
+_MIN_COS_TILT = float(np.cos(np.deg2rad(MAX_TILT)))
+_MIN_HEIGHT = 0.5  # of the home pose, below which it has fallen
+_FREE_SERVO = 0.5  # rad or m of a position servo without any limit
+_MAX_JOINTS, _MAX_BYTES, _MAX_CLIP = 200, 200_000_000, 100.0
+_PREFIX = "robot/"
+_PHYSICS = ("timestep", "integrator", "cone", "impratio", "solver", "iterations", "tolerance", "noslip_iterations", "gravity")
+_FIX = "Check the file with `python -m mujoco.viewer --mjcf FILE`."
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions(Settings):
+    """The robot and how it is driven."""
+
+    robot: Annotated[str, Execution(), Shown(everyday=True), Example("robot.xml")] | None = None
+    """Robot: its MJCF or URDF file; menagerie:NAME (extra robots); or ant or point, which come with SHES."""
+    motors: Annotated[float | None, Gt(0)] = None
+    """Largest torque of a motor at each joint, for a robot whose file has no actuators."""
+    control_step: Annotated[float, Ge(0.001), Le(0.2)] = 0.02
+    """Seconds of a control step, rounded to physics steps of the file."""
+    robot_keyframe: str | None = None
+    """Keyframe of the file that is the home pose; none is the first one, or without one the initial pose."""
+
+
+class RobotFile(NamedTuple):
+    """A robot's file with all that it names, as zip archives, which can be sent and kept in a run folder."""
+
+    name: str
+    content: bytes
+    """Everything, to draw the robot."""
+    physics: bytes
+    """What its physics needs: no shapes that only look good, and no sensors."""
+
+
+def _spec_of(packed: bytes) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_zip(io.BytesIO(packed))
+
+
+def read_robot(robot: str | None) -> RobotFile:
+    """Return the robot that `robot` names: a file, an archive that `save_robot` wrote, or `menagerie:NAME`."""
+    if not robot:
+        raise ConfigError("which robot? Set --robot to its MJCF file, to menagerie:NAME, or to ant or point.")
+    path = _from_menagerie(robot) if robot.startswith(MENAGERIE) else Path(robot).expanduser()
+    if not path.is_file():
+        raise ConfigError(f"robot {robot!r} is no file. Set --robot to an MJCF file, menagerie:NAME, ant or point.")
+    if path.stat().st_size > _MAX_BYTES:
+        raise ConfigError(f"robot {robot!r} has {path.stat().st_size / 1e6:,.0f} MB, more than {_MAX_BYTES / 1e6:.0f}.")
+    if path.suffix == ".zip":
+        content = path.read_bytes()
+        spec = _spec_of(content)
+        model = _compiled(spec, path.stem)
+    else:
+        spec = _parsed(path)
+        model = _compiled(spec, path.stem)
+        content = _zipped(spec)
+    _reduce_to_physics(spec, model)
+    return RobotFile(spec.modelname or path.stem, content, _zipped(spec))
+
+
+def _from_menagerie(robot: str) -> Path:
+    try:
+        import mujoco_menagerie
+    except ImportError as error:
+        raise ConfigError(f"robot {robot!r} needs the package mujoco-menagerie: pip install 'shes[robots]'.") from error
+    name = robot.removeprefix(MENAGERIE)
+    try:
+        found = mujoco_menagerie.get(name)
+    except mujoco_menagerie.UnknownRobotError as error:
+        raise ConfigError(f"MuJoCo Menagerie has no robot {name!r} ({error}). Its names: mujoco_menagerie.names().") from error
+    try:
+        folder = found.path()
+    except (mujoco_menagerie.MenagerieError, OSError) as error:
+        raise ConfigError(f"robot {robot!r} cannot be downloaded: {error}. Check the network, or give a file.") from error
+    return folder
+
+
+def _parsed(path: Path) -> mujoco.MjSpec:
+    """Return the spec of the file at `path` with the files that it names; raise ConfigError if it is not sound."""
+    try:
+        _check_includes(path, path.parent)
+        with warnings.catch_warnings(action="ignore"):
+            spec = mujoco.MjSpec.from_file(str(path))
+            assets = dict[str, bytes]()
+            textures = [(spec.texturedir, each) for each in spec.textures]
+            for folder, each in [*((spec.meshdir, each) for each in (*spec.meshes, *spec.hfields, *spec.skins)), *textures]:
+                if each.file:
+                    name = str(PurePosixPath(folder) / each.file)
+                    assets[name] = _inside(path.parent / name, path.parent).read_bytes()
+            if sum(map(len, assets.values())) > _MAX_BYTES:
+                raise ConfigError(f"robot {str(path)!r} has more than {_MAX_BYTES / 1e6:.0f} MB of files. Simplify it.")
+            spec.assets = assets
+    except (ValueError, OSError, RecursionError, mujoco.FatalError) as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        raise ConfigError(f"robot {str(path)!r} cannot be read: {words}. {_FIX}") from error
+    return spec
+
+
+def _zipped(spec: mujoco.MjSpec) -> bytes:
+    packed = io.BytesIO()
+    spec.to_zip(packed)
+    return packed.getvalue()
+
+
+def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Remove from `spec`, of which `model` was compiled, what the physics does not need."""
+    for body in spec.bodies[1:]:
+        own = model.body(body.id)
+        body.explicitinertial, body.mass, body.inertia = True, own.mass[0], own.inertia
+        body.ipos, body.iquat = own.ipos, own.iquat
+    for part in [*spec.sensors, *spec.skins, *spec.lights, *spec.cameras]:
+        spec.delete(part)
+    for geom in list(spec.geoms):
+        if not geom.contype and not geom.conaffinity:
+            spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms}
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    unused = [*spec.textures, *(mesh for mesh in spec.meshes if mesh.name not in used)]
+    for part in unused:
+        spec.delete(part)
+    files = {mesh.file for mesh in spec.meshes}
+    spec.assets = {name: data for name, data in spec.assets.items() if any(name.endswith(file) for file in files)}
+    spec.compile()
+
+
+
+
+def _inside(file: Path, folder: Path) -> Path:
+    """Return `file`; raise ConfigError if it is not in `folder` or below it, links followed."""
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"the robot names {str(file)!r}, which is not below its own folder. Copy it there.")
+    return file
+
+
+def _check_includes(path: Path, folder: Path, depth: int = 0) -> None:
+    """Raise ConfigError if the file at `path` includes one outside `folder`, or too many inside each other."""
+    if depth > 20:
+        raise ConfigError(f"robot {str(path)!r} includes itself, or more than 20 files inside each other.")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for name in re.findall(r"<include[^>]*\bfile\s*=\s*[\"']([^\"']*)", text):
+        _check_includes(_inside(folder / name, folder), folder, depth + 1)
+
+
+class Robot(FreeBody):
+    """A robot with a free joint, from its file. A policy's controls lie in [-1, 1]; see `control_map`."""
+
+    Options = RobotOptions
+    control_unit = "1"
+    control_limit = 1.0
+    velocity_clip = _MAX_CLIP
+
+    def __init__(self, options: Settings | None = None, file: RobotFile | None = None) -> None:
+        """Read the robot of `options`, from `file` if it is given; raise ConfigError if it cannot be driven."""
+        super().__init__(options)
+        self.file = file or read_robot(self.options.robot)
+        self.name = self.file.name
+        spec = self._spec()
+        model = self.alone()
+        if model.nq != model.nv + 1:
+            raise ConfigError(f"robot {self.name!r} has ball joints, which a policy here cannot observe. Use hinges.")
+        if not 0 < model.njnt - 1 <= _MAX_JOINTS:
+            raise ConfigError(f"robot {self.name!r} has {model.njnt - 1} joints besides its root, not 1 to {_MAX_JOINTS}.")
+        if model.nu == 0:
+            raise ConfigError(f"robot {self.name!r} has no actuators. Add some to its file, or set --motors N (torque).")
+        root = self._name(model.body(1).name) or "root"
+        kinds = ["rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m" for kind in model.jnt_type[1:]]
+        joints = [self._name(model.joint(i).name) or f"joint_{i}" for i in range(1, model.njnt)]
+        self.pose, self.velocity, self.egocentric = free_elements(root, joints, kinds)
+        self.controls = tuple(self._name(model.actuator(i).name) or f"control_{i}" for i in range(model.nu))
+        self.timestep_s = float(model.opt.timestep)
+        self.frame_skip = max(1, round(self.options.control_step / self.timestep_s))
+        self.home, extent = self._home_pose(spec, model)
+        self._home_angles = [(9 + i, angle) for i, angle in enumerate(self.home[7:].tolist()) if angle]
+        self.scale = float(f"{extent / ANT_EXTENT_M:.2g}")
+        self.mass_kg = float(model.body_subtreemass[0])
+        self.block_factor = self.mass_kg / ANT_MASS_KG
+        self.control_map = self._driven(model)
+
+    @classmethod
+    def maker(cls, options: Settings) -> Callable[[], Body]:
+        """Return a function that makes the robot anywhere, also where its file is not."""
+        return partial(cls, options, read_robot(options.robot))  # type: ignore[attr-defined] - of class RobotOptions
+
+    def _spec(self, *, is_drawn: bool = False) -> mujoco.MjSpec:
+        """Return the robot's spec with the motors of the options."""
+        spec = _spec_of(self.file.content if is_drawn else self.file.physics)
+        root = _root(spec, self.name)
+        if self.options.motors is not None:
+            if len(spec.actuators):
+                raise ConfigError(f"robot {self.name!r} has actuators of its own. Omit --motors.")
+            torque = self.options.motors
+            for joint in root.find_all("joint"):
+                if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                    motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+                    motor.set_to_motor()
+                    motor.ctrllimited, motor.ctrlrange = True, [-torque, torque]
+        return spec
+
+    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add the robot with its actuators to `spec`, and the physics of its file."""
+        self._attach(self._spec(), spec, ground_m)
+
+    def add_drawn_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add the robot as it looks; see `Body.add_drawn_to`."""
+        self._attach(self._spec(is_drawn=True), spec, ground_m)
+
+    def _attach(self, child: mujoco.MjSpec, spec: mujoco.MjSpec, ground_m: float) -> None:
+        for key in list(child.keys):
+            child.delete(key)
+        for name in _PHYSICS:
+            setattr(spec.option, name, getattr(child.option, name))
+        child.nkey = spec.nkey  # MuJoCo warns where the two specs differ
+        child.visual.map.znear, child.visual.map.zfar = spec.visual.map.znear, spec.visual.map.zfar
+        for name in dir(spec):
+            if name.startswith("nuser_"):
+                setattr(child, name, getattr(spec, name))
+        spec.worldbody.add_frame(pos=[0, 0, ground_m]).attach_body(_root(child, self.name), _PREFIX, "")
+
+    def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
+        """Return whether the root tilts by more than 60 degrees, or is lower than half its height at home [N]."""
+        assert self.home is not None, "the constructor sets it"
+        is_low = qpos[..., 2] - ground_m < _MIN_HEIGHT * self.home[2]
+        return is_low | (self.cos_tilt(qpos) < _MIN_COS_TILT)
+
+    def describe(self) -> dict[str, str]:
+        """Return what was understood of the file, in words."""
+        assert self.home is not None, "the constructor sets it"
+        assert self.control_map is not None, "the constructor sets it"
+        found = self.found_symmetry()
+        turns = "none" if found.turn is None else f"{found.num_turns} turns (difference {found.turn.residual:.1e})"
+        mirror = "no mirror" if found.mirror is None else f"mirror (difference {found.mirror.residual:.1e})"
+        step = self.frame_skip * self.timestep_s
+        return {
+            "root": f"{self.pose[0].name.removesuffix('_x')}, {len(self.pose) - 7} joints, {self.mass_kg:.3g} kg",
+            "home pose": f"{self.home[2]:.3g} m high; joints " + " ".join(f"{angle:.3g}" for angle in self.home[7:]),
+            "actuators": ", ".join(
+                f"{name} {offset:.3g} ± {factor:.3g}"
+                for name, offset, factor in zip(self.controls, *self.control_map, strict=True)
+            ),
+            "time": f"physics step {self.timestep_s:g} s, control step {step:g} s",
+            "fallen": f"tilt above {MAX_TILT:g} degrees, or lower than {_MIN_HEIGHT * self.home[2]:.3g} m",
+            "symmetry": f"{turns}, {mirror}",
+            "size": f"{self.scale:g} of the ant's: cells of {8 * self.scale:g} m, goals within {4 * self.scale:g} m",
+        }
+
+    def _home_pose(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[F64Array, float]:
+        """Return the home pose [num_qpos] at the origin, lifted onto the ground, and the robot's extent in metres."""
+        whole, data = _compiled(spec, self.name), mujoco.MjData(model)
+        pose = whole.qpos0
+        names = [self._name(whole.key(i).name) for i in range(whole.nkey)]
+        wanted = self.options.robot_keyframe
+        if wanted is not None and wanted not in names:
+            known = f"its keyframes: {', '.join(names)}" if names else "it has none"
+            raise ConfigError(f"robot {self.name!r} has no keyframe {wanted!r} ({known}). Change --robot-keyframe.")
+        if names:
+            pose = whole.key_qpos[0 if wanted is None else names.index(wanted)]
+        first = whole.jnt_qposadr[whole.body(_root(spec, self.name).name).jntadr[0]]
+        home = pose[first : first + model.nq].copy()
+        home[:2] = 0
+        data.qpos[:] = home
+        mujoco.mj_kinematics(model, data)
+        low, high = _bounds(model, data)
+        home[2] -= low[2]
+        if self.cos_tilt(home) < _MIN_COS_TILT:
+            raise ConfigError(
+                f"robot {self.name!r} lies in its home pose: its root tilts by more than {MAX_TILT:g} degrees. "
+                "Choose another pose with --robot-keyframe."
+            )
+        return home, float((high - low).max())
+
+    def _driven(self, model: mujoco.MjModel) -> tuple[F64Array, F64Array]:
+        """Return offset and factor [A] of the actuators' controls: 0 holds the home pose, ±1 is far from it."""
+        data = mujoco.MjData(model)
+        data.qpos[:] = self.home
+        mujoco.mj_forward(model, data)
+        pairs = [self._range(model, i, float(data.actuator_length[i])) for i in range(model.nu)]
+        offset, factor = np.array(pairs).T
+        return offset, factor
+
+    def _range(self, model: mujoco.MjModel, i: int, length: float) -> tuple[float, float]:
+        """Return offset and factor of actuator `i`, whose joint or tendon has this `length` at home."""
+        gain, (_, stiffness, damping) = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i, :3]
+        low, high = model.actuator_ctrlrange[i].tolist() if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
+        has_bias = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
+        if has_bias and stiffness and gain:  # a position servo
+            center, joint = -stiffness / gain * length, int(model.actuator_trnid[i, 0])
+            is_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+            if not np.isfinite(low) and is_joint and model.jnt_limited[joint]:
+                low, high = np.sort(model.jnt_range[joint] * model.actuator_gear[i, 0] * -stiffness / gain).tolist()
+            if not np.isfinite(low):
+                return center, _FREE_SERVO
+            center = min(max(center, low), high)
+            return center, max(min(high - center, center - low) / 2, (high - low) / 10)
+        if not np.isfinite(low) and model.actuator_forcelimited[i] and gain:
+            low, high = (model.actuator_forcerange[i] / abs(gain)).tolist()
+        if not np.isfinite(low):
+            kind = "velocity servo" if has_bias and damping else "motor"
+            raise ConfigError(
+                f"actuator {self.controls[i]!r} of robot {self.name!r}, a {kind}, has no ctrlrange and no forcerange. "
+                "Give it one in the file."
+            )
+        return (low + high) / 2, (high - low) / 2
+
+    @staticmethod
+    def _name(name: str) -> str:
+        return name.removeprefix(_PREFIX)
+
+
+def _compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return spec.compile()
+    except ValueError as error:
+        raise ConfigError(f"robot {name!r} does not compile: {' '.join(str(error).split())}. {_FIX}") from error
+
+
+def _root(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
+    """Return the body with a free joint that has the most joints below it."""
+    free = [
+        body
+        for body in spec.worldbody.bodies
+        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+    ]
+    if not free:
+        raise ConfigError(f"robot {name!r} has no body with a free joint. Add <freejoint/> to its root body.")
+    return max(free, key=lambda body: len(body.find_all("joint")))
+
+
+def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64Array, F64Array]:
+    """Return the corners [3] of a box around what collides, in the pose of `data`."""
+    collides = (model.geom_contype | model.geom_conaffinity).astype(bool) & (model.geom_bodyid > 0)
+    turn = data.geom_xmat[collides].reshape(-1, 3, 3)
+    centre, half = model.geom_aabb[collides, :3], model.geom_aabb[collides, 3:]
+    middle = data.geom_xpos[collides] + (turn @ centre[:, :, None])[:, :, 0]
+    reach = (np.abs(turn) @ half[:, :, None])[:, :, 0]
+    if not len(middle):
+        raise ConfigError("nothing of the robot collides, so it falls through the floor. Give its feet geoms.")
+    return (middle - reach).min(axis=0), (middle + reach).max(axis=0)
