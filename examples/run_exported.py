@@ -33,7 +33,8 @@ class ExportedAgent:
         if "primitive" in spec:
             features, seen, frame = self.reach(seen, pose or pose_in(seen, **spec["pose"]), goal)
         clock = [2 * np.pi * rate["frequency_hz"] * rate["step_s"] * self.step for rate in spec["clock"]]
-        inputs = np.concatenate([features, np.sin(clock), np.cos(clock), seen])
+        sign = frame.get("clock_sign", 1)  # left and right legs take turns
+        inputs = np.concatenate([features, sign * np.sin(clock), sign * np.cos(clock), seen])
         control = self.network(spec["levels"][-1], inputs) * np.float32(spec["control_limit"])
         if frame:
             control = control[frame["control_index"]] * np.array(frame["control_sign"], np.float32)
@@ -41,10 +42,11 @@ class ExportedAgent:
         return np.clip(control.astype(np.float64) / spec["control_limit"], -1, 1)
 
     def reach(self, seen, pose, goal):
-        skill, position, heading = self.spec["primitive"], complex(*pose[:2]), pose[2]
+        skill, scale = self.spec["primitive"], self.spec["scale"]
+        position, heading = complex(*pose[:2]) / scale, pose[2]
         own, angle = view_of(seen, skill["view"], heading)
         if self.step % self.spec["controller_interval"] == 0:
-            self.goal = position + self.decide(seen, heading) if "controller" in self.spec else complex(*goal)
+            self.goal = position + self.decide(seen, heading) if "controller" in self.spec else complex(*goal) / scale
             way = (self.goal - position) * unit(angle).conjugate()
             turn = np.arctan2(way.imag, way.real) * (skill["num_turns"] / (2 * np.pi))
             mirrored = skill["is_mirrored"] and turn < np.rint(turn)
@@ -63,7 +65,10 @@ class ExportedAgent:
             "unit_vector": [to.real / (far or 1), to.imag / (far or 1), far / 1000],
             "vector": [to.real, to.imag],
         }
-        return features[skill["goal_encoding"]], own[frame["view_index"]] * frame["view_sign"], frame
+        turned = own[frame["view_index"]] * frame["view_sign"]
+        if "view_matrix" in frame:
+            turned = np.array(frame["view_matrix"]) @ own
+        return features[skill["goal_encoding"]], turned, frame
 
     def pursue(self, seen, pose):
         """HIRO: the goal is a change of the robot's own coordinates."""
@@ -128,14 +133,15 @@ def view_of(seen, view, heading):
     qpos, qvel = seen[view["qpos"]], seen[view["qvel"]]
     if view["body"] == "point":
         return np.concatenate([qpos[2:], qvel, columns]), 0.0
-    if view["body"] != "ant":
-        raise ValueError(f"no egocentric view of body {view['body']!r}; add it here. Known: ant, point")
+    if view["body"] not in ("ant", "free"):
+        raise ValueError(f"no egocentric view of body {view['body']!r}; add it here. Known: ant, point, free")
     w, x, y, z = qpos[3:7]  # of the torso
     angle = 2 * np.arctan2(z, w)
     tilt = complex(2 * (x * z + w * y), 2 * (y * z - w * x)) * unit(angle).conjugate()
     speed = complex(*qvel[:2]) * unit(angle).conjugate()
     plane = [qpos[2], tilt.real, tilt.imag, speed.real, speed.imag]
-    return np.concatenate([plane, qvel[2:6], qpos[7:], qvel[6:], columns]), angle
+    joints = qpos[7:] - view.get("home", 0.0)
+    return np.concatenate([plane, qvel[2:6], joints, qvel[6:], columns]), angle
 
 
 if __name__ == "__main__":

@@ -135,9 +135,14 @@ class EgocentricView(View):
         return (*own, *(observation_names[i] for i in self._places[2]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the name of the body, and the indices of its qpos and qvel and of the other values."""
+        """Return body or joints of its home pose, and the indices of its qpos and qvel and of the other values."""
         qpos, qvel, others = self._places
-        return {"kind": "egocentric", "body": self.body.name, "qpos": qpos, "qvel": qvel, "columns": others}
+        own = (
+            {"body": self.body.name}
+            if self.body.home is None
+            else {"body": "free", "home": self.body.home[7:].tolist()}
+        )
+        return {"kind": "egocentric", **own, "qpos": qpos, "qvel": qvel, "columns": others}
 
 
 def sector_directions(num_sectors: int) -> tuple[F64Array, F64Array]:

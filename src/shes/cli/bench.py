@@ -168,8 +168,11 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
             branches = draw_branches(state, settings, table_size, (episodes,))
             share = max(1, len(branches.tasks) * num_tasks // len(draws.tasks))
             roll_out(replace(branches, tasks=branches.tasks[:share]), worker)
-    frame_skip = algorithm.problem.sample().robot.frame_skip
-    return BarePhysics(recorders[0].model, [episode for each in recorders for episode in each.episodes], frame_skip)
+    robot = algorithm.problem.sample().robot
+    assert robot is not None, "an external environment is refused"
+    return BarePhysics(
+        recorders[0].model, [episode for each in recorders for episode in each.episodes], robot.frame_skip
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.rendering.classic import gl_context
 
-from shes.drawing.renderer import Extent, Picture, Renderer
+from shes.drawing.renderer import Extent, Picture, Renderer, scale_of
 from shes.envs.markers import ROBOT, Marker
 from shes.envs.worlds import SCALE
 from shes.types import F64Array
@@ -68,7 +68,7 @@ class MujocoRenderer(Renderer):
         mujoco.mj_forward(self.model, self.data)
         if camera == "follow":
             self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-            follow(self._camera, self.model, self.data, self.extent, self.scale)
+            follow(self._camera, self.model, self.data, self.extent)
         else:
             x, y, half = self.top_view
             self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half * _TOP_MARGIN, _TOP_DISTANCE_M))
@@ -84,14 +84,12 @@ class MujocoRenderer(Renderer):
         self._renderer.close()
 
 
-def follow(
-    camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData, extent: Extent, scale: float
-) -> None:
+def follow(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData, extent: Extent) -> None:
     """Point `camera` at the robot from behind and above, steeper where a wall, a block or a platform would hide it.
 
     The positions in `data` have been computed; the decorated world `model` covers `extent`.
     """
-    robot = data.xpos[ROBOT_BODY]
+    robot, scale = data.xpos[ROBOT_BODY], scale_of(model)
     low, high = np.reshape(extent, (2, 2))
     inside = np.clip(robot[:2], low + scale * _EDGE_M, high - scale * _EDGE_M)
     lookat = robot.copy()

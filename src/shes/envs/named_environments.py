@@ -7,7 +7,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from shes.envs.bodies.body import Body, yaw
-from shes.envs.bodies.robot import Robot
+from shes.envs.bodies.robot import Robot, RobotOptions
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
@@ -221,8 +221,27 @@ def make_task(
     return ENVIRONMENTS.find(name).make(num_episodes, options, simulator)
 
 
-def list_environments() -> Listing:
-    """List the environments with their dimensions, rewards and scores."""
+def list_environments(
+    *,
+    robot: str | None = None,
+    motors: float | None = None,
+    control_step: float = RobotOptions.control_step,
+    robot_keyframe: str | None = None,
+) -> Listing:
+    """List the environments with their dimensions, rewards and scores, or what was understood of a robot's file.
+
+    shes envs --robot robot.xml
+
+    Args:
+        robot: The robot's MJCF or URDF file, or menagerie:NAME: describe it instead.
+        motors: Largest torque of a motor at each joint, for a file without actuators.
+        control_step: Seconds of a control step.
+        robot_keyframe: Keyframe of the file that is the home pose.
+    """
+    if robot is not None:
+        options = RobotOptions(robot=robot, motors=motors, control_step=control_step, robot_keyframe=robot_keyframe)
+        facts = Robot(options).describe()
+        return Listing(facts, [f"{name}: {text}" for name, text in facts.items()])
     rows = [_describe(name, environment) for name, environment in ENVIRONMENTS.items()]
     rows += map(_describe_external, EXTERNAL_ENVIRONMENTS.values())
     shown: list[tuple[str, ...]] = []

@@ -103,8 +103,10 @@ class PrimitiveSettings(Settings):
     """Intrinsic reward of the primitive (section II-B)."""
     primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
     """Values that the primitive observes in addition to its goal."""
-    symmetry: Annotated[Literal["none", "rotation", "dihedral", "auto"], Needs("primitive_view", ("egocentric",))] = "none"
-    """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
+    symmetry: Annotated[Literal["none", "rotation", "dihedral", "auto"], Needs("primitive_view", ("egocentric",))] = (
+        "none"
+    )
+    """Symmetry of the body by which every goal is turned to the front, for an egocentric view; auto is what it has."""
 
 
 @dataclass(frozen=True, kw_only=True)

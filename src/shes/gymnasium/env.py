@@ -149,7 +149,7 @@ def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads
 
 
 class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
-    """One episode of a task at a time. Actions lie in [-1, 1]; a step takes 0.1 s of simulated time.
+    """One episode of a task at a time. Actions lie in [-1, 1]; a step of the ant takes 0.1 s of simulated time.
 
     A copy, or one that was pickled, is a new environment with the same arguments: reset it first.
     """
@@ -170,6 +170,7 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
         self._adapter = TaskAdapter(name, 1, render_mode, self.metadata["render_modes"], options)
         self.task = self._adapter.task
         """The task with its simulation, to look at."""
+        self.metadata = {**self.metadata, "render_fps": round(1 / self.task.step_s)}
         self.render_mode = render_mode
         self.observation_space = self._adapter.observation_space
         self.action_space = self._adapter.action_space
@@ -184,7 +185,7 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
         return self.task.observe()[0].copy(), self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[F64Array, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Advance by 0.1 s. A divergence terminates the episode; Gymnasium's wrapper applies the time limit."""
+        """Advance by a control step. A divergence terminates; the time limit is that of Gymnasium's wrapper."""
         self._adapter.step(np.array([0]), [action])
         reward = float(self.task.reward[0])
         return self.task.observe()[0].copy(), reward, bool(self._adapter.ended[0]), False, self._info()

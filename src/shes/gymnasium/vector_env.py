@@ -28,7 +28,7 @@ _RENDER_MODES = ["rgb_array"]
 
 
 class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
-    """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time.
+    """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step of the ant takes 0.1 s of simulated time.
 
     A copy, or one that was pickled, is a new environment with the same arguments: reset it first.
     """
@@ -63,9 +63,14 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         except ValueError as error:
             allowed = ", ".join(mode.value for mode in AutoresetMode)
             raise ConfigError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}.") from error
-        self.metadata = {"render_modes": _RENDER_MODES, "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.task = self._adapter.task
         """The task with its simulations, to look at."""
+        modes, frames_per_s = _RENDER_MODES, round(1 / self.task.step_s)
+        self.metadata = {"render_modes": modes, "render_fps": frames_per_s, "autoreset_mode": self.autoreset_mode}
+            "render_modes": _RENDER_MODES,
+            "render_fps": round(1 / self.task.step_s),
+            "autoreset_mode": self.autoreset_mode,
+        }
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space = self._adapter.observation_space

@@ -86,6 +86,8 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         "hidden_activation": design.policies[-1].hidden_activation,
         "input_clip": design.input_clip if np.isfinite(design.input_clip) else None,
         "control_limit": design.control_limit,
+        "scale": task.scale,
+        "control_map": None if task.robot is None else _control_map(task.robot),
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
         **design.exported(),
     }
@@ -130,15 +132,26 @@ def _pose(robot: Body, columns: list[int]) -> dict[str, Any] | None:
     turned = robot.quaternion
     qpos = np.random.default_rng(0).standard_normal((8, robot.num_qpos))
     heading: F64Array = np.zeros(8) if turned is None else yaw(qpos[:, turned])
-    is_plain = np.array_equal(robot.position(qpos), qpos[:, :2]) and np.array_equal(robot.heading(qpos), heading)
+    is_plain = np.allclose(robot.position(qpos) * robot.scale, qpos[:, :2]) and np.array_equal(
+        robot.heading(qpos), heading
+    )
     quaternion = None if turned is None else columns[turned]
     return {"position": columns[:2], "quaternion": quaternion} if is_plain else None
+
+
+def _control_map(robot: Body) -> list[list[float]] | None:
+    """Return offset and factor of each control of the robot's file, for actions in [-1, 1]; None if there are none."""
+    return None if robot.control_map is None else [each.tolist() for each in robot.control_map]
 
 
 def _frames(group: SymmetryGroup) -> dict[str, Any]:
     """Return the frames of a symmetry group, one for each of its elements."""
     tables = dict(zip(("cosine", "sine", "mirror"), group.direction(), strict=True))
     tables |= {name: getattr(group, name) for name in ("view_index", "view_sign", "control_index", "control_sign")}
+    if group.view_matrix is not None:
+        tables["view_matrix"] = group.view_matrix
+    if group.shifts_clock:
+        tables["clock_sign"] = tables["mirror"]
     frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(group.num_elements)]
     return {"num_turns": group.num_turns, "is_mirrored": group.is_mirrored, "frames": frames}
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from shes.envs.bodies.robot import read_robot
+from shes.envs.bodies.robot import read_robot, robot_stem
 from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import Checkpoint, load_checkpoint
@@ -34,7 +34,7 @@ _PACKAGES = ("shes", "mujoco", "numpy")
 
 
 class RunFolder:
-    """`config.json`, `progress.csv`, `evaluation.csv`, `checkpoints/`, `tensorboard/`, `log.txt`."""
+    """`config.json`, `progress.csv`, `evaluation.csv`, `checkpoints/`, `tensorboard/`, `log.txt`, `robot/`."""
 
     def __init__(self, path: Path) -> None:
         """Name the files below `path`; use `create` or `open`."""
@@ -45,7 +45,7 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
         self.log = path / "log.txt"
-        self.robot = path / "robot.zip"
+        self.robots = path / "robot"
         self._lock = path / ".lock"
 
     @classmethod
@@ -152,7 +152,8 @@ class RunFolder:
         record = self.read_record()
         try:
             config = TrainConfig.from_dict(record["config"])
-            return config.having(robot=str(self.robot)) if self.robot.is_file() else config
+            copies = sorted(self.robots.glob("*.zip"))
+            return config.having(robot=str(copies[0])) if copies else config
         except (KeyError, TypeError, AttributeError) as error:
             raise RunFolderError(f"{self.config} is damaged: {error!r}. Restore it from a copy.") from error
         except (ConfigError, UnknownNameError) as error:
@@ -166,9 +167,11 @@ class RunFolder:
     def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
         """Write the record of a new run, with the origins of levels that other runs trained."""
         here = provenance(config.workers.device, config.algorithm.packages)
-        if config.values.get("robot"):
-            content = read_robot(config.values["robot"]).content
-            write_atomically(self.robot, lambda file: file.write(content))
+        if robot := config.values.get("robot"):
+            content = read_robot(robot).content
+            with storage_errors(self.robots):
+                self.robots.mkdir(exist_ok=True)
+            write_atomically(self.robots / f"{robot_stem(robot)}.zip", lambda file: file.write(content))
         self.write_record({"format": _FORMAT, "config": config.to_dict(), **origins, **here, "resumed": []})
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:

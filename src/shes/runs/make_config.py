@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
-from shes.envs.named_environments import Environment, find_environment, with_robot
+from shes.envs.bodies.robot import RobotOptions, read_robot
+from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.build import OpenedRun, check_asked_device, open_run
@@ -65,6 +66,11 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
     common, special = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, own))
     settings = by_name(settings_by_section(run))
     values = {**common, **special, **limits, "algorithm": run.algorithm}
+    step = asked.get("control_step")
+    if env in ROBOT_ENVIRONMENTS and isinstance(step, int | float) and step > 0:  # the preset's times are for its own
+        for name in ("horizon", "evaluation_horizon", "controller_interval", "explore_horizon"):
+            if values.get(name):
+                values[name] = max(1, round(values[name] * RobotOptions.control_step / step))
     return {name: value for name, value in values.items() if name in settings}
 
 
@@ -119,24 +125,31 @@ def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, 
     algorithm = algorithm_of(RunSettings.of(values))
     own = algorithm.transfers[level]
     source = _read(level, own, values).config
-    theirs, ours = (_robot(each) for each in (source.run.env, values["env"]))
+    if values["env"] in ROBOT_ENVIRONMENTS and "robot" in source.values and not values.get("robot"):
+        values = {**values, "robot": source.values["robot"]}
+    theirs, ours = _robot(source.run.env, source.values), _robot(values["env"], values)
     if theirs != ours:
         raise ConfigError(
             f"the {level} of {values[level]} does not fit {values['env']}: it was trained on {source.run.env} for "
             f"{theirs}, but {values['env']} has {ours}. Name a {level} of the same robot with --{level}, or omit it."
         )
     brought = own.settings(source, algorithm.level_names)
+    if "robot" in source.values:
+        brought |= {name: source.values[name] for name in ("motors", "control_step", "robot_keyframe")}
     for name in sorted(brought.keys() & asked.keys()):
         if asked[name] != brought[name]:
             raise ConfigError(
                 f"{name} is {asked[name]!r}, but the {level} of {values[level]} was trained with {brought[name]!r}. "
                 f"Omit {flag(name)}: it comes with the {level}."
             )
+    brought |= {"robot": values["robot"]} if "robot" in source.values else {}
     return brought | {name: source.values[name] for name in own.suggested if name not in asked}
 
 
-def _robot(env: str) -> str:
+def _robot(env: str, values: Mapping[str, Any]) -> str:
     found = find_environment(env)
+    if env in ROBOT_ENVIRONMENTS:
+        return f"the robot {read_robot(values.get('robot')).name}"
     return f"the {found.body.name}" if isinstance(found, Environment) else "an external robot"
 
 

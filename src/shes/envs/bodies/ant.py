@@ -37,13 +37,12 @@ class Ant(FreeBody):
 
     name = "ant"
     pose, velocity, egocentric = free_elements("torso", _JOINTS)
-    controls = tuple(
-        f"{joint}_{number}" for number in _ACTUATOR_ORDER for joint in ("hip", "ankle")
-    )
+    controls = tuple(f"{joint}_{number}" for number in _ACTUATOR_ORDER for joint in ("hip", "ankle"))
     control_unit = "N m"
     control_limit = 30.0
     # Height, quaternion, then hip and ankle of each leg. Source: Nachum et al. 2018, appendix C.1.
     goal_half_range = (0.5, 1.0, 1.0, 1.0, 1.0, *(0.5, 0.3) * 4)
+
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add torso, legs and motors to `spec`."""
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, ground_m + TORSO_HEIGHT_M])

@@ -82,9 +82,7 @@ class FoundSymmetry:
 def find_symmetry(model: mujoco.MjModel, home: F64Array | None = None) -> FoundSymmetry:
     """Return the symmetry of a body alone in `model`, whose first joint is free; `home` is its pose if not qpos0."""
     body = _Kinematics(model, home)
-    turns = (
-        (num, found) for num in TURNS if (found := body.element(_rotation(-2 * np.pi / num))) is not None
-    )
+    turns = ((num, found) for num in TURNS if (found := body.element(_rotation(-2 * np.pi / num))) is not None)
     num_turns, turn = next(turns, (1, None))
     return FoundSymmetry(num_turns=num_turns, turn=turn, mirror=body.element(np.diag([1.0, -1.0, 1.0])))
 

@@ -11,7 +11,6 @@ from shes.envs.bodies.body import Body, ObservationElement, SymmetryGroup, eleme
 from shes.envs.bodies.find_symmetry import FoundSymmetry, find_symmetry
 from shes.types import F64Array
 
-
 Elements = tuple[ObservationElement, ...]
 
 
@@ -27,7 +26,9 @@ def free_elements(root: str, joints: Sequence[str], units: Sequence[str] = ()) -
     )
     velocity = (
         *elements([f"{root}_v{axis}" for axis in "xyz"], "{}: velocity along a world axis", "m/s"),
-        *elements([f"{root}_w{axis}" for axis in "xyz"], f"{{}}: angular velocity about an axis of the {root}", "rad/s"),
+        *elements(
+            [f"{root}_w{axis}" for axis in "xyz"], f"{{}}: angular velocity about an axis of the {root}", "rad/s"
+        ),
         *speeds,
     )
     egocentric = (
@@ -67,7 +68,7 @@ class FreeBody(Body):
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
         """Write height, tilt, velocity, angular velocity and joints [N, 9 + 2 J]; see `Body.write_egocentric`.
 
-        MuJoCo's angular velocity of a free joint is already in the root's frame. Joints are measured from the home pose.
+        MuJoCo's angular velocity of a free joint is already in the root's frame. Joints are relative to the home pose.
         """
         cosine, sine = np.cos(angle), np.sin(angle)
         w, x, y, z = (qpos[:, i] for i in range(3, 7))
@@ -77,12 +78,12 @@ class FreeBody(Body):
         _turn_back(qvel[:, 0], qvel[:, 1], cosine, sine, out[:, 3:5])
         out[:, 5:9] = qvel[:, 2:6]
         out[:, 9:end] = qpos[:, 7:]
-        for column, angle in self._home_angles:  # one by one: a device has no array of them
-            out[:, column] -= angle
+        for column, zero in self._home_angles:  # one by one: a device has no array of them
+            out[:, column] -= zero
         out[:, end:] = qvel[:, 6:]
 
     def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup | None:
-        """Return the rotations, and with `is_mirrored` the reflections, that the body's model shows to be symmetries."""
+        """Return the rotations, and with `is_mirrored` the reflections, under which the model stays the same."""
         return self.found_symmetry().group(is_mirrored=is_mirrored)
 
     def found_symmetry(self) -> FoundSymmetry:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, ObservationElement, elements
+from shes.envs.bodies.body import Body, elements
 from shes.types import BoolArray, F64Array
 
 RADIUS_M = 0.25
@@ -27,9 +27,7 @@ class Point(Body):
 
     name = "point"
     pose = elements(["torso_x", "torso_y"], "{} in the world", "m")
-    velocity = elements(
-        ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
-    )
+    velocity = elements(["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s")
     egocentric = velocity
     controls = ("slide_x", "slide_y")
     control_unit = "6 N"
@@ -72,8 +70,6 @@ class FallingPoint(Point):
     """The point of Fall, with a third slide joint along z; qpos and qvel are x, y and height."""
 
     pose = elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m")
-    velocity = elements(
-        ["torso_vx", "torso_vy", "torso_vz"], "{}: velocity along a world axis", "m/s"
-    )
+    velocity = elements(["torso_vx", "torso_vy", "torso_vz"], "{}: velocity along a world axis", "m/s")
     egocentric = (pose[2], *velocity)
     start_height_m = FALLING_HEIGHT_M

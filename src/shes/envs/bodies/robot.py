@@ -8,9 +8,10 @@ from __future__ import annotations
 import io
 import re
 import warnings
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, NamedTuple
 
@@ -20,7 +21,7 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.free_body import FreeBody, free_elements
 from shes.errors import ConfigError
-from shes.settings import Example, Execution, Ge, Gt, Le, Settings, Shown
+from shes.settings import Example, Ge, Gt, Le, Settings, Shown
 from shes.types import BoolArray, F64Array
 
 MENAGERIE = "menagerie:"
@@ -35,7 +36,17 @@ _MIN_HEIGHT = 0.5  # of the home pose, below which it has fallen
 _FREE_SERVO = 0.5  # rad or m of a position servo without any limit
 _MAX_JOINTS, _MAX_BYTES, _MAX_CLIP = 200, 200_000_000, 100.0
 _PREFIX = "robot/"
-_PHYSICS = ("timestep", "integrator", "cone", "impratio", "solver", "iterations", "tolerance", "noslip_iterations", "gravity")
+_PHYSICS = (
+    "timestep",
+    "integrator",
+    "cone",
+    "impratio",
+    "solver",
+    "iterations",
+    "tolerance",
+    "noslip_iterations",
+    "gravity",
+)
 _FIX = "Check the file with `python -m mujoco.viewer --mjcf FILE`."
 
 
@@ -43,7 +54,7 @@ _FIX = "Check the file with `python -m mujoco.viewer --mjcf FILE`."
 class RobotOptions(Settings):
     """The robot and how it is driven."""
 
-    robot: Annotated[str, Execution(), Shown(everyday=True), Example("robot.xml")] | None = None
+    robot: Annotated[str, Shown(everyday=True), Example("robot.xml")] | None = None
     """Robot: its MJCF or URDF file; menagerie:NAME (extra robots); or ant or point, which come with SHES."""
     motors: Annotated[float | None, Gt(0)] = None
     """Largest torque of a motor at each joint, for a robot whose file has no actuators."""
@@ -76,32 +87,54 @@ def read_robot(robot: str | None) -> RobotFile:
         raise ConfigError(f"robot {robot!r} is no file. Set --robot to an MJCF file, menagerie:NAME, ant or point.")
     if path.stat().st_size > _MAX_BYTES:
         raise ConfigError(f"robot {robot!r} has {path.stat().st_size / 1e6:,.0f} MB, more than {_MAX_BYTES / 1e6:.0f}.")
+    return _read(path, path.stat().st_mtime_ns)
+
+
+def robot_stem(robot: str) -> str:
+    """Return the name of the file `robot`, or of a robot of the Menagerie, as a file's name without its ending."""
+    return PurePosixPath(robot.replace(":", "-").replace("\\", "/")).stem
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, _changed: int) -> RobotFile:
+    """Read the file at `path`, anew if it has changed."""
     if path.suffix == ".zip":
         content = path.read_bytes()
-        spec = _spec_of(content)
+        spec = _unzipped(content, path)
         model = _compiled(spec, path.stem)
     else:
         spec = _parsed(path)
         model = _compiled(spec, path.stem)
         content = _zipped(spec)
     _reduce_to_physics(spec, model)
-    return RobotFile(spec.modelname or path.stem, content, _zipped(spec))
+    return RobotFile(path.stem, content, _zipped(spec))
+
+
+def _unzipped(content: bytes, path: Path) -> mujoco.MjSpec:
+    try:
+        return _spec_of(content)
+    except (ValueError, OSError, zipfile.BadZipFile, mujoco.FatalError) as error:
+        raise ConfigError(f"robot {str(path)!r} cannot be read: {' '.join(str(error).split())}.") from error
 
 
 def _from_menagerie(robot: str) -> Path:
     try:
-        import mujoco_menagerie
+        import mujoco_menagerie  # type: ignore[import-not-found] - an extra
     except ImportError as error:
         raise ConfigError(f"robot {robot!r} needs the package mujoco-menagerie: pip install 'shes[robots]'.") from error
     name = robot.removeprefix(MENAGERIE)
     try:
         found = mujoco_menagerie.get(name)
     except mujoco_menagerie.UnknownRobotError as error:
-        raise ConfigError(f"MuJoCo Menagerie has no robot {name!r} ({error}). Its names: mujoco_menagerie.names().") from error
+        raise ConfigError(
+            f"MuJoCo Menagerie has no robot {name!r} ({error}). Its names: mujoco_menagerie.names()."
+        ) from error
     try:
         folder = found.path()
     except (mujoco_menagerie.MenagerieError, OSError) as error:
-        raise ConfigError(f"robot {robot!r} cannot be downloaded: {error}. Check the network, or give a file.") from error
+        raise ConfigError(
+            f"robot {robot!r} cannot be downloaded: {error}. Check the network, or give a file."
+        ) from error
     return folder
 
 
@@ -113,7 +146,10 @@ def _parsed(path: Path) -> mujoco.MjSpec:
             spec = mujoco.MjSpec.from_file(str(path))
             assets = dict[str, bytes]()
             textures = [(spec.texturedir, each) for each in spec.textures]
-            for folder, each in [*((spec.meshdir, each) for each in (*spec.meshes, *spec.hfields, *spec.skins)), *textures]:
+            for folder, each in [
+                *((spec.meshdir, each) for each in (*spec.meshes, *spec.hfields, *spec.skins)),
+                *textures,
+            ]:
                 if each.file:
                     name = str(PurePosixPath(folder) / each.file)
                     assets[name] = _inside(path.parent / name, path.parent).read_bytes()
@@ -154,8 +190,6 @@ def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     spec.compile()
 
 
-
-
 def _inside(file: Path, folder: Path) -> Path:
     """Return `file`; raise ConfigError if it is not in `folder` or below it, links followed."""
     if not file.resolve().is_relative_to(folder.resolve()):
@@ -176,6 +210,7 @@ class Robot(FreeBody):
     """A robot with a free joint, from its file. A policy's controls lie in [-1, 1]; see `control_map`."""
 
     Options = RobotOptions
+    options: RobotOptions  # type: ignore[assignment] - narrower than in Body
     control_unit = "1"
     control_limit = 1.0
     velocity_clip = _MAX_CLIP
@@ -190,9 +225,13 @@ class Robot(FreeBody):
         if model.nq != model.nv + 1:
             raise ConfigError(f"robot {self.name!r} has ball joints, which a policy here cannot observe. Use hinges.")
         if not 0 < model.njnt - 1 <= _MAX_JOINTS:
-            raise ConfigError(f"robot {self.name!r} has {model.njnt - 1} joints besides its root, not 1 to {_MAX_JOINTS}.")
+            raise ConfigError(
+                f"robot {self.name!r} has {model.njnt - 1} joints besides its root, not 1 to {_MAX_JOINTS}."
+            )
         if model.nu == 0:
-            raise ConfigError(f"robot {self.name!r} has no actuators. Add some to its file, or set --motors N (torque).")
+            raise ConfigError(
+                f"robot {self.name!r} has no actuators. Add some to its file, or set --motors N (torque)."
+            )
         root = self._name(model.body(1).name) or "root"
         kinds = ["rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m" for kind in model.jnt_type[1:]]
         joints = [self._name(model.joint(i).name) or f"joint_{i}" for i in range(1, model.njnt)]
@@ -348,9 +387,7 @@ def _compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
 def _root(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
     """Return the body with a free joint that has the most joints below it."""
     free = [
-        body
-        for body in spec.worldbody.bodies
-        if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+        body for body in spec.worldbody.bodies if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
     ]
     if not free:
         raise ConfigError(f"robot {name!r} has no body with a free joint. Add <freejoint/> to its root body.")

@@ -313,6 +313,6 @@ class Fall(TargetTask):
     name: ClassVar[str] = "fall"
     Options = BlockOptions
     grid: ClassVar[Grid] = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
-    ground_m: ClassVar[float] = WALL_HEIGHT_M
+    ground_m = WALL_HEIGHT_M
     block_axes: ClassVar[str] = "yz"
     own_target: ClassVar[tuple[float, ...]] = (0.0, 27.0, 4.5)
