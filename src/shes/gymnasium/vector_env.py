@@ -67,10 +67,6 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         """The task with its simulations, to look at."""
         modes, frames_per_s = _RENDER_MODES, round(1 / self.task.step_s)
         self.metadata = {"render_modes": modes, "render_fps": frames_per_s, "autoreset_mode": self.autoreset_mode}
-            "render_modes": _RENDER_MODES,
-            "render_fps": round(1 / self.task.step_s),
-            "autoreset_mode": self.autoreset_mode,
-        }
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space = self._adapter.observation_space
