@@ -17,7 +17,6 @@ import ast
 import inspect
 import linecache
 import math
-import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -41,7 +40,6 @@ from shes.annotations import (
     Shared,
     Shown,
     Unasked,
-    range_in_words,
 )
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
@@ -54,7 +52,6 @@ __all__ = [
 NoteT = TypeVar("NoteT")
 F = TypeVar("F", bound=Callable[..., Any])
 _SENTENCE_END = r"\.(?:\s|$)"
-_COMPARISONS = {Gt: operator.gt, Ge: operator.ge, Lt: operator.lt, Le: operator.le}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,7 +156,7 @@ class Setting:
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
-        if not all(_COMPARISONS[type(note)](value, note.bound) for note in self.all_of(Bound)):
+        if not all(note.allows(value, note.bound) for note in self.all_of(Bound)):
             return False
         if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
             raise out_of_range(self.name, value, "less than 2**63", self.flag)
@@ -169,9 +166,11 @@ class Setting:
     def allowed(self) -> str:
         """The allowed values in words, for error messages."""
         count = f"{self.length} " if self.length else ""
-        words = {bool: "true or false", str: "a name"}.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
-        if self.item in (int, float):
-            words = range_in_words(self.item, self.notes, is_many=self.kind is tuple)
+        named = {bool: "true or false", str: "a name", int: "a whole number", float: "a number"}
+        words = named.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
+        if self.kind is tuple:
+            words = words.removeprefix("a ") + "s"
+        words += " and".join(f" {note.words} {note.bound:g}" for note in self.all_of(Bound))
         return count + words + "".join(f", e.g. {self.flag} {note.text}" for note in self.all_of(Example))
 
 

@@ -198,7 +198,7 @@ GIVEN = {"compare": ("no-run", "no-other")}
         ("report", "num_workers", [-1], "a whole number of at least 0"),
         ("render", "episode", [-1, 100_000], "a whole number of at least 0 and less than 100000"),
         ("render", "steps", [0, 100_000], "a whole number of at least 1 and less than 100000"),
-        ("render", "size", [63, 1081], "a whole number between 64 and 1080"),
+        ("render", "size", [63, 1081], "a whole number of at least 64 and at most 1080"),
         ("render", "size", [65], "an even number of pixels"),
         ("watch", "seed", [-1], "a whole number of at least 0"),
         *((each, "seed", [-1], "a whole number of at least 0") for each in ("compare", "evaluate", "render", "report")),
