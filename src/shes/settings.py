@@ -286,13 +286,10 @@ def _syntax_tree(file: str) -> ast.Module:
 
 
 def checked(function: F) -> F:
-    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
+    """Return `function`, which now checks the arguments whose annotations say what is allowed.
 
     A call raises as `Setting.checked` does, which also converts the values.
     """
-    if isinstance(function, type):
-        function.__init__ = checked(function.__init__)
-        return function  # type: ignore[return-value] - it is of its own type
     signature = inspect.signature(function)
 
     @wraps(function)

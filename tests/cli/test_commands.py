@@ -90,12 +90,11 @@ def test_list_tells_states_and_why_runs_are_unreadable(shes, tiny_run, tmp_path)
     states = {"locked": "running", **{name: state for name, (state, _) in LISTED.items()}}
     assert {name: run["state"] for name, run in found.items()} == states
     assert "cannot be read" in found["cut"]["problem"]
-    theirs = found["theirs"]
-    assert (theirs["env"], theirs["algorithm"]) == ("point-gather", "their-own")
-    reached = ("generation", "generations", "env_steps", "best_score")
-    assert [theirs[name] for name in reached] == [found["whole"][name] for name in reached]
+    shown = ("env", "algorithm", "generation", "generations", "env_steps")
+    assert [found["whole"][name] for name in shown] == ["point-gather", "shes", 4, 4, 640]
     text = shes("list", tmp_path, columns=200)
-    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unreadable", text)
+    assert re.search(r"whole +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ finished", text)
+    assert re.search(r"theirs +│ - +│ - / - +│ - +│ unreadable", text)
     assert re.search(r"theirs is unreadable: .*unknown algorithm 'their-own'(?s:.*)--import MODULE", text)
 
 

@@ -152,9 +152,9 @@ def wait_until(condition, what, within_s=PATIENCE_S, every_s=0.002):
 
 
 def log_lines(path):
-    """Return the log of a run without dates and levels; none before it begins."""
+    """Return the log of a run without dates, levels and tracebacks; none before it begins."""
     log = Path(path) / "log.txt"
-    return [line.split(" ", 3)[3] for line in log.read_text().splitlines()] if log.exists() else []
+    return re.findall(r"^\d{4}-\S+ \S+ [A-Z]+ (.*)", log.read_text(), re.MULTILINE) if log.exists() else []
 
 
 def wait_for_generation(process, path, generation):

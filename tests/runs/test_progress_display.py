@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 from rich.cells import cell_len
-from rich.console import Console
 
+from shes.console import LineConsole
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import ProgressDisplay, format_duration
 
@@ -44,11 +44,11 @@ def play(console, clock, config=CONFIG, generations=12, after=0):
 
 
 def terminal(width):
-    return Console(file=io.StringIO(), force_terminal=True, width=width, height=30)
+    return LineConsole(file=io.StringIO(), force_terminal=True, width=width, height=30)
 
 
 def plain(width=80):
-    return Console(file=io.StringIO(), force_terminal=False, width=width, record=True)
+    return LineConsole(file=io.StringIO(), force_terminal=False, width=width, record=True)
 
 
 def lines_of(console):
@@ -103,7 +103,7 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(clock, monkeypatch):
 
 def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):
     file = io.TextIOWrapper(io.BytesIO(), "ascii", errors="strict")
-    play(Console(file=file, force_terminal=True, width=80, height=30), clock)
+    play(LineConsole(file=file, force_terminal=True, width=80, height=30), clock)
     file.flush()
     text = file.buffer.getvalue().decode("ascii")
     assert "5.00 +/- 0.50" in text

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from shes.errors import ShesError
 from shes.runs.folder import RunFolder
 from shes.runs.model_card import model_card
 from shes.runs.shipped import read_agent, shipped_name, shipped_names
-from shes.runs.tables import read_csv
 from shes.types import Listing, Table, facts_listing
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunState:
-    """The state of a run. Fields that cannot be read are None."""
+    """The state of a run. All but its folder and the problem are None if it is unreadable."""
 
     run: str
     env: str | None = None
@@ -37,28 +35,17 @@ class RunState:
     """Why the run is unreadable."""
 
 
-_FACTS = ("env", "algorithm", "preset", "seed", "generations")
-
-
 def run_state(folder: RunFolder) -> RunState:
     """Return the state of the run in `folder`."""
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
         config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
     except ShesError as error:
-        told: dict[str, Any] = {}
-        faults = (ShesError, KeyError, TypeError, AttributeError, ValueError, OverflowError)
-        with suppress(*faults):
-            told = {each: folder.read_record()["config"]["run"].get(each) for each in _FACTS}
-        with suppress(*faults):  # by its tables
-            progress = read_csv(folder.progress)
-            told |= {each: int(progress[each][-1]) for each in ("generation", "env_steps")}
-            told["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
-        return RunState(run=str(folder.path), **told, problem=str(error))
+        return RunState(run=str(folder.path), problem=str(error))
     is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
     return RunState(
         run=str(folder.path),
-        **{each: getattr(config.run, each) for each in _FACTS},
+        **{each: getattr(config.run, each) for each in ("env", "algorithm", "preset", "seed", "generations")},
         generation=checkpoint.generation,
         env_steps=checkpoint.env_steps,
         best_score=checkpoint.best.score if checkpoint.best.generation >= 0 else None,

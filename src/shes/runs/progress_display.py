@@ -51,13 +51,13 @@ def with_display(listener: AnyListener, progress: bool | None) -> Iterator[AnyLi
         yield listener
         return
     with ProgressDisplay(console) as display:
-        yield [display, *(listener if isinstance(listener, list | tuple) else () if listener is None else (listener,))]
+        yield [display, listener]
 
 
 class ProgressDisplay:
     """A listener that shows generation, returns of the levels, evaluation score, steps per second and time left."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: LineConsole) -> None:
         """Show on `console`; use as a context manager."""
         self.path: Path | None = None
         """The run folder, once there is one."""
@@ -92,7 +92,7 @@ class ProgressDisplay:
             workers = f"this process, evaluating on {workers}"
         after = f" after generation {generation}" if generation else ""
         name, text = (config.run.env, "bold"), f" ({config.run.preset}) on {workers}{after}. Run folder: "
-        self._print(Text.assemble("Training ", name, text, (str(path), "cyan")))
+        self._console.print_line(Text.assemble("Training ", name, text, (str(path), "cyan")))
 
     def on_generation(self, row: Row) -> None:
         """Show a generation."""
@@ -105,7 +105,7 @@ class ProgressDisplay:
         self._redraw()
         if self._live is None and (now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1):
             self._last_line = now
-            self._print(Text("  ".join(f"{name} {value}" for name, value in self._facts())))
+            self._console.print_line("  ".join(f"{name} {value}" for name, value in self._facts()))
 
     def on_evaluation(self, row: Row) -> None:
         """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
@@ -117,10 +117,7 @@ class ProgressDisplay:
         self._events.append(event)
         self._redraw()
         if self._live is None:
-            self._print(Text(event, style="yellow"))
-
-    def _print(self, text: Text) -> None:
-        self._console.print(text, highlight=False, soft_wrap=True)
+            self._console.print_line(Text(event, style="yellow"))
 
     def _time_left(self) -> str:
         """Return the time left, estimated from the last generations, as text."""
