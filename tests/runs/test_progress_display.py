@@ -95,10 +95,11 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(clock, monkeypatch):
     assert lines[-1].endswith("time left 0 s")
     assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
     assert "\x1b" not in console.file.getvalue()
-    monkeypatch.setenv("TERM", "dumb")  # a terminal that cannot redraw shows every generation
+    monkeypatch.setenv("TERM", "dumb")  # a terminal that cannot redraw
     console = terminal(80)
     play(console, clock)
-    assert [console.file.getvalue().count(f"generation {number} / 40") for number in range(1, 13)] == [1] * 12
+    shown = [number for number in range(1, 13) if f"generation {number} / 40" in console.file.getvalue()]
+    assert shown == [1, 6, 11]
 
 
 def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):

@@ -20,7 +20,7 @@ from shes.runs.config import TrainConfig
 from shes.runs.recorder import AnyListener
 from shes.runs.tables import Row
 
-_LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
+_LINE_EVERY_S = 10.0  # where nothing can be redrawn
 _REMEMBERED = 20  # generations from which the time left is estimated
 
 
@@ -64,7 +64,6 @@ class ProgressDisplay:
         self._console = console
         can_redraw = console.is_terminal and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
-        self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
         self._row: Row = {}
         self._evaluation: Row = {}
         self._events: deque[str] = deque(maxlen=3)
@@ -103,7 +102,7 @@ class ProgressDisplay:
         self._shares.append((now, min(1.0, max(shares))))
         is_last = run.is_over(row["generation"], row["env_steps"])
         self._redraw()
-        if self._live is None and (now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1):
+        if self._live is None and (now - self._last_line >= _LINE_EVERY_S or is_last or row["generation"] == 1):
             self._last_line = now
             self._console.print_line("  ".join(f"{name} {value}" for name, value in self._facts()))
 
