@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -46,7 +46,7 @@ class Le(Bound):
 class Choices:
     """The value is one of these names. They are looked up at every check, because a registry may grow."""
 
-    names: Collection[str]
+    names: Iterable[str]
     fix: str = ""
     """How to add a name, for the error message."""
     is_described: bool = False

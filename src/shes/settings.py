@@ -18,7 +18,7 @@ import inspect
 import linecache
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache, wraps
 from itertools import pairwise
@@ -241,7 +241,7 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
     return Setting(name=name, default=default, notes=notes, owner=owner, **types)
 
 
-def registered(names: Collection[str]) -> Mapping[str, Any]:
+def registered(names: Iterable[str]) -> Mapping[str, Any]:
     """Return the registered classes by name, or nothing if `names` is not a registry."""
     return names if isinstance(names, Registry) else {}
 

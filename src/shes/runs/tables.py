@@ -52,8 +52,8 @@ def _read(path: Path) -> tuple[list[str], dict[int, list[str]]]:
         return header, {int(row[0]): row for row in rows}
     except (OSError, ValueError, csv.Error) as error:
         raise RunFolderError(
-            f"{path} cannot be read as a table of numbers: {short_text(error)}. Restore it from a copy, or empty it to "
-            "resume without the rows so far."
+            f"{path} cannot be read as a table of numbers: {short_text(error)}. Restore it from a copy, or let it be "
+            "an empty file, to go on without the rows so far."
         ) from error
 
 
@@ -70,17 +70,12 @@ class CsvTable:
     def __init__(self, path: Path, keep_until: int, *, has_every_row: bool = False) -> None:
         """Open `path` and remove the rows after generation `keep_until`, which may be cut off."""
         self._path = path
-        if keep_until and not path.is_file():
-            raise RunFolderError(
-                f"{path} is missing, but the run has made {keep_until} generations. Restore it from a copy, or make an "
-                "empty file of this name to go on without the rows so far."
-            )
-        header, rows = _read(path) if path.is_file() else ([], {})
+        header, rows = _read(path) if keep_until or path.is_file() else ([], {})
         kept = {generation: row for generation, row in rows.items() if generation <= keep_until}
         if has_every_row and kept and max(kept) != keep_until:
             raise RunFolderError(
                 f"{path} ends with generation {max(kept)}, but the run has made {keep_until}: rows are missing. "
-                "Restore it from a copy, or empty it to go on without the rows so far."
+                "Restore it from a copy, or let it be an empty file, to go on without the rows so far."
             )
         self._columns = header if kept else []  # a header alone is written again with the first row
         if path.is_file():
