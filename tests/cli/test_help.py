@@ -176,7 +176,7 @@ def test_the_value_of_a_flag_is_not_taken_for_the_environment(given, line):
     assert given(*line.split()) == ("ant-push", {"primitive": "ant-maze"}, (1, 2))
 
 
-@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("preset", [*PRESET_NAMES])
 def test_the_value_of_every_setting_can_be_written(given, preset):
     config = make_config("ant-gather", preset)
     words, expected, settings = [], {}, config.settings

@@ -205,7 +205,7 @@ def test_the_paper_preset_evaluates_as_it_trains():
         assert (options.integrator, options.reset_noise) == ("euler", noise)
 
 
-@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("preset", [*PRESET_NAMES])
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_every_preset_suits_every_environment(env, preset):
     if "hiro" in preset and "flagrun" in env:

@@ -61,20 +61,16 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     """
     runs = [run_state(each) for each in RunFolder.below(Path(folder))]
     agents = {name: read_agent(name) for name in shipped_names()}
-    parts: list[Table | str] = [f"There is no run below {folder}."]
-    if runs:
-        cells = [
-            (
-                run.run,
-                str(run.env or "-"),
-                " / ".join("-" if each is None else str(each) for each in (run.generation, run.generations)),
-                "-" if run.best_score is None else f"{run.best_score:.2f}",
-                run.state,
-            )
-            for run in runs
-        ]
-        parts = [Table(("run", "environment", "generation", "best score", "state"), cells)]
-    parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
+    parts: list[Table | str] = [] if runs else [f"There is no run below {folder}."]
+    cells = list[tuple[str, ...]]()
+    for run in runs:
+        score = "-" if run.best_score is None else f"{run.best_score:.2f}"
+        if run.problem is None:
+            cells.append((run.run, str(run.env), f"{run.generation} / {run.generations}", score, run.state))
+        else:
+            parts.append(f"{run.run} is unreadable: {run.problem}")
+    if cells:
+        parts.insert(0, Table(("run", "environment", "generation", "best score", "state"), cells))
     if agents:
         rows = list[tuple[str, ...]]()
         for name, agent in agents.items():
