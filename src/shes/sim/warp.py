@@ -61,6 +61,7 @@ class WarpSimulator(Simulator):
         device: str = "cuda",
         nconmax: int | None = None,
         njmax: int | None = None,
+        deterministic: bool = False,
     ) -> None:
         """Make `num_sims` simulations of `model` on `device`, in its default state.
 
@@ -72,6 +73,8 @@ class WarpSimulator(Simulator):
                 be tested. By default from the model's geoms.
             njmax: Size of each simulation's constraint buffer: rows for contacts, joint limits, friction losses and
                 equalities. By default from the model's geoms and limits.
+            deterministic: Whether contacts, constraints and sums are in a fixed order, so that results repeat bit by
+                bit on a GPU; slower.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
@@ -96,6 +99,7 @@ class WarpSimulator(Simulator):
         self.xp = self._device.xp
         with self._warp.ScopedDevice(self._device.warp_device):
             self._allocate()
+        self._model.opt.deterministic = deterministic
         self._graphs: dict[int, Any] = {}
         self._timers: list[Callable[[], float]] = []  # of steps whose time is not in `_device_s` yet
         self._device_s = 0.0
