@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError, PolicyError
-from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, IndexedRanks, PairRanks
+from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from tests.es import textbook
 
 # Few values, so many ties, and all exact in binary after any shift and scale below.
@@ -38,9 +38,10 @@ def test_a_fitness_that_is_not_finite_is_refused(shaping, value):
         shaping(_array([0, 1, value, value]))
 
 
-@pytest.mark.parametrize(("shaping", "ties"), [(CentredRanks(), "average"), (IndexedRanks(), "index")])
+@pytest.mark.parametrize(("name", "ties"), [("centred_rank", "average"), ("centred_rank_index", "index")])
 @given(fitness=st.one_of(fitnesses, wide, st.lists(st.integers(-1000, 1000), min_size=2)))
-def test_centred_ranks_count_beaten_members(shaping, ties, fitness):
+def test_centred_ranks_count_beaten_members(name, ties, fitness):
+    shaping = FITNESS_SHAPINGS.find(name)()
     assert shaping(_array(fitness)) == pytest.approx(textbook.centred_ranks(fitness, ties))
     assert shaping(_array(fitness[:1])).tolist() == [0]
 

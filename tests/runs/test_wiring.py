@@ -201,10 +201,8 @@ GROUPS: dict[str, Group] = {
         "primitive_estimate": Row("interval", lambda r: (len(r.of("branch")), perturbed(r)), (1, [[1, 0]])),
     }, common={**SHORT, "primitive_view": "egocentric"}),
     "ties": Group({
-        "fitness_shaping": Row("centred_rank_index", lambda r: [
-            (bool(u.shaped.any()), (u.before.theta != u.result.level.theta).any()) for u in r.updates
-        ], [(True, True)] * 2),
-    }, common={"horizon": 2}),  # too short for an apple: all controllers have the same fitness
+        "fitness_shaping": Row("centred_rank_index", rules("holds_when_tied"), [False] * 2),
+    }, common=SHORT),
     "controller": Group({
         "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]]),
         "controller_network": Row("equivariant", design(lambda d: type(d.controller.network).__name__),
