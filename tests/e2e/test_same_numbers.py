@@ -122,7 +122,7 @@ BY_ENVIRONMENT = {
     },
     # Many members are paid the same here, so that it matters how ties rank.
     "point-gather": {
-        "ties by index": {"rank_ties": "index", "controller_view": "sectors"},
+        "ties by index": {"fitness_shaping": "centred_rank_index", "controller_view": "sectors"},
     },
 }  # fmt: skip
 METHODS = [

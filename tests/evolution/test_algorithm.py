@@ -16,7 +16,7 @@ from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import SGD
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.shaping import CentredRanks
+from shes.es.shaping import CentredRanks, IndexedRanks
 from shes.evolution.estimates import Schedule
 from tests.rollout.formula import (
     DIMS,
@@ -46,9 +46,9 @@ def test_generations_are_the_textbooks(table, name, learns, mirrored):
 
 
 @pytest.mark.parametrize("diverging", [(), ((2, 0), (7, 1))], ids=["finite", "diverging"])
-@pytest.mark.parametrize("ties", ["average", "index"])
-def test_ties_and_divergences_are_the_textbooks(table, ties, diverging):
-    rule = UpdateRule(weight_decay=0.005, shaping=CentredRanks(rank_ties=ties))
+@pytest.mark.parametrize(("shaping", "ties"), [(CentredRanks(), "average"), (IndexedRanks(), "index")])
+def test_ties_and_divergences_are_the_textbooks(table, shaping, ties, diverging):
+    rule = UpdateRule(weight_decay=0.005, shaping=shaping)
     settings = replace(SETTINGS, updates=(rule, rule))
     backend, reports = check_against_textbook(table, settings, diverging=diverging, ties=ties)
     whole = 8 * (100 + 101 + 102)

@@ -82,6 +82,17 @@ def test_a_run_goes_from_the_cpu_to_the_card_and_back(env, tmp_path):
     assert RunFolder.open(run).load("last").generation == 5
 
 
+@pytest.mark.parametrize("env", ["ant-gather", "ant-push"])
+def test_deterministic_runs_are_bit_identical(env, tmp_path):
+    """Feet touch the ground all the time, and the block of Push has box-box contacts. Also after a resume."""
+    one, again, resumed = (tmp_path / name for name in ("one", "again", "resumed"))
+    settings = {**TINY, "population_size": 64, "horizon": 60, "device": DEVICE, "deterministic": True}
+    for path, generations in ((one, 3), (again, 3), (resumed, 2)):
+        shes.train(env, out=path, generations=generations, **settings)
+    shes.resume(resumed, generations=3)
+    assert [runs.differences(one, other) for other in (again, resumed)] == [[], []]
+
+
 def test_a_population_in_parts_is_the_same_population(tmp_path):
     thetas = []
     for chunk_size in (0, 4):

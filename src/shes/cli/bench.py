@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 from typing import Annotated, Any, Literal, NamedTuple
@@ -15,12 +15,12 @@ import numpy as np
 
 from shes.backends.backend import SerialBackend
 from shes.envs.named_environments import find_environment
-from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.envs.tasks.task import FRAME_SKIP
 from shes.errors import ConfigError
 from shes.evolution.algorithm import roll_out
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.machine import on_one_core
-from shes.rollout.worker import RolloutWorker, WorkerPlan
+from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm, build_backend, check_limits
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
@@ -142,7 +142,12 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
     """
     settings, table_size, state = algorithm.hyperparameters, algorithm.table.size, algorithm.start(seed)
     recorders: list[_RecordingSimulator] = []
-    plan = _RecordedPlan(**{**vars(algorithm.plan()), "device": "cpu"}, recorders=recorders)
+
+    def recorder(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
+        recorders.append(_RecordingSimulator(model, num_sims))
+        return recorders[-1]
+
+    plan = replace(algorithm.plan(), device="cpu", simulator=recorder)
     with SerialBackend(partial(RolloutWorker, plan)) as worker:
         draw, *others = settings.estimates
         draws = draw(state, settings, table_size, ())
@@ -153,21 +158,6 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
             share = max(1, len(branches.tasks) * num_tasks // len(draws.tasks))
             roll_out(replace(branches, tasks=branches.tasks[:share]), worker)
     return BarePhysics(recorders[0].model, [episode for each in recorders for episode in each.episodes])
-
-
-@dataclass(frozen=True, kw_only=True)
-class _RecordedPlan(WorkerPlan):
-    """A worker's plan whose simulators, all on the CPU, record their episodes and are added to `recorders`."""
-
-    recorders: list[_RecordingSimulator]
-
-    @property
-    def simulator(self) -> SimulatorFactory:
-        def make(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
-            self.recorders.append(_RecordingSimulator(model, num_sims))
-            return self.recorders[-1]
-
-        return make
 
 
 class _RecordingSimulator(CpuSimulator):

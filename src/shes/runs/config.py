@@ -67,6 +67,8 @@ class WorkerSettings(Settings):
     """Contact buffer of a device, per simulation on average; by default chosen for the environment's model."""
     njmax: Annotated[int, Ge(1), Execution()] | None = None
     """Constraint buffer of a device, in rows per simulation; by default chosen for the environment's model."""
+    deterministic: Annotated[bool, Execution()] = False
+    """Whether a device repeats its results bit by bit; slower. Those of the CPU always repeat."""
 
     @property
     def count(self) -> int:
