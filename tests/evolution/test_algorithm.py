@@ -1,6 +1,6 @@
 """`evolve` on made-up fitness: the textbook's iterates, whoever is perturbed; schedules, and levels that rest.
 
-What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `rollout/test_same_numbers.py`.
+What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `e2e/test_same_numbers.py`.
 """
 
 import math
