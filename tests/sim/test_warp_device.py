@@ -57,9 +57,7 @@ def machine(monkeypatch, versions):
         return stream
 
     cupy = SimpleNamespace(
-        __version__="14.2.0",
-        zeros=np.zeros,
-        cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated),
+        __version__="14.2.0", zeros=np.zeros, cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated)
     )
     for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
         monkeypatch.setitem(sys.modules, name, module)
