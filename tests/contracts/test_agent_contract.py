@@ -46,10 +46,8 @@ class Subject:
 
     def rows(self, step, members, episodes=EPISODES):
         """Return the arguments of `act`: copies, members under each other."""
-        return {
-            name: np.concatenate([array[step, member, :episodes] for member in members])
-            for name, array in self.shown.items()
-        }
+        own = {name: [array[step, member, :episodes] for member in members] for name, array in self.shown.items()}
+        return {name: np.concatenate(arrays) for name, arrays in own.items()}
 
     def start(self, agent, place, member):
         """Let the episodes of a member start in lane `place`."""
@@ -92,11 +90,8 @@ def subject(name):
 def tumbling(name, rng):
     """Return the subject of ants that are turned and tilted, and pushed at random."""
     config = make_config(name, "smoke", {**ANTS[name], "reset_noise": 0.5})
-    task, seen, ids = (
-        build_environment(config).make(MEMBERS * EPISODES, build_options(config, is_evaluation=False)),
-        [],
-        np.arange(MEMBERS * EPISODES),
-    )
+    task = build_environment(config).make(MEMBERS * EPISODES, build_options(config, is_evaluation=False))
+    seen, ids = [], np.arange(MEMBERS * EPISODES)
     task.reset(ids, ids.tolist())
     for _ in range(STEPS):
         goal = rng.uniform(-4, 4, (len(ids), 2)) + task.position

@@ -81,10 +81,8 @@ def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_c
     with pytest.raises(DivergenceError, match=message) as caught:
         runs.train_tiny(tmp_path / "run", "fog", **settings, listener=listener)
     assert caught.value.exit_code == 1
-    text = (
-        "all 8 episodes of generation {} diverged (physics, observation or reward not finite): nothing can be learned"
-    )
-    warnings = [text.format(generation) + " from it" for generation in range(1, 11)]
+    text = "all 8 episodes of generation {} diverged (physics, observation or reward not finite): "
+    warnings = [text.format(generation) + "nothing can be learned from it" for generation in range(1, 11)]
     of_evaluation = "all 3 episodes of the evaluation diverged: its score does not count"
     assert told == [warnings[0], of_evaluation, *warnings[1:]]
     assert RunFolder.open(tmp_path / "run").load("last").generation == 10
@@ -94,11 +92,7 @@ def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_c
 @pytest.mark.parametrize(
     ("broken", "sound", "told"),
     [
-        (
-            {"diverged_rate": 1, "diverged_episodes": 8},
-            {"diverged_rate": 0.9, "diverged_episodes": 7},
-            "all 8 episodes",
-        ),
+        ({"diverged_rate": 1, "diverged_episodes": 8}, {"diverged_rate": 0.9, "diverged_episodes": 7}, "all 8 episode"),
         ({"policy_return_mean": np.nan}, {"policy_return_mean": 0.0}, "no return of generation 30 is finite: nothing"),
     ],
 )

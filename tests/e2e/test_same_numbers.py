@@ -126,9 +126,7 @@ BY_ENVIRONMENT = {
         "position": {"controller_view": "position", "controller_output": "direction"},
     },
     # Many members are paid the same here, so that it matters how ties rank.
-    "point-gather": {
-        "ties by index": {"rank_ties": "index", "controller_view": "sectors"},
-    },
+    "point-gather": {"ties by index": {"rank_ties": "index", "controller_view": "sectors"}},
 }  # fmt: skip
 METHODS = [
     *(("point-maze", name, settings) for name, settings in {**BY_CHOICE, **BY_HAND}.items()),
@@ -195,11 +193,7 @@ def test_every_choice_of_every_name_is_compared():
 
 def test_the_comparison_detects_a_bit_and_what_is_missing(run_copy, tiny_run):
     names = runs.numbers(tiny_run)
-    assert {
-        "progress.csv/env_steps",
-        "evaluation.csv/score_mean",
-        "last.npz/primitive/optimizer_second",
-    } <= names.keys()
+    assert {"progress.csv/env_steps", "evaluation.csv/score_mean", "last.npz/primitive/optimizer_second"} <= {*names}
     assert not any(name.endswith("_s") for name in names)
     assert runs.differences(tiny_run, tiny_run) == []
     last, table = run_copy / "checkpoints" / "last.npz", run_copy / "progress.csv"

@@ -15,9 +15,8 @@ fitnesses = st.lists(st.integers(-6, 6), min_size=1, max_size=25).map(lambda val
 wide = st.lists(st.floats(-1e300, 1e300), min_size=20, max_size=20)
 TIES = ("average", "index")
 any_ties = st.sampled_from(TIES)
-every_shaping = pytest.mark.parametrize(
-    "shaping", [*(CentredRanks(rank_ties=ties) for ties in TIES), PairRanks()], ids=str
-)
+SHAPINGS = [*(CentredRanks(rank_ties=ties) for ties in TIES), PairRanks()]
+every_shaping = pytest.mark.parametrize("shaping", SHAPINGS, ids=str)
 
 
 def _array(values):
