@@ -162,12 +162,12 @@ def source(tmp_path_factory):
 
 @pytest.mark.parametrize(("backend", "env", "settings"), comparisons())
 def test_neither_workers_nor_a_resume_change_any_method(tmp_path, monkeypatch, source, backend, env, settings):
-    """The workers of the serial backend are three by name: the tasks are divided as for so many processes."""
+    """The workers of the serial backend are 13 by name: members that share noise are divided as for so many."""
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
     two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
-    monkeypatch.setattr(SerialBackend, "num_workers", 3)
+    monkeypatch.setattr(SerialBackend, "num_workers", 13)
     shes.resume(two, generations=3, backend=backend, num_workers=2 * (backend == "processes"), chunk_size=5)
     assert runs.differences(one, two) == []
 
