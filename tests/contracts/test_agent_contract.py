@@ -18,13 +18,8 @@ from tests.rollout.designs import INTERVAL, OBSERVED, every_design, levels_of, t
 from tests.rollout.plain_agent import PlainAgent, columns
 
 MEMBERS, EPISODES, STEPS = 4, 2, 2 * INTERVAL + 2
-EGOCENTRIC = {
-    "primitive_view": "egocentric",
-    "symmetry": "dihedral",
-    "controller_interval": INTERVAL,
-    "clock_frequency": 1.2,
-    "hidden": (6, 5),
-}
+WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
+EGOCENTRIC = {**WALKER, "controller_interval": INTERVAL, "hidden": (6, 5)}
 WITH_CONTROLLER = {**EGOCENTRIC, "controller_output": "heading_vector", "controller_view": "egocentric"}
 ANTS = {
     "ant-gather": WITH_CONTROLLER,

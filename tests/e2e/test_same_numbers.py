@@ -179,6 +179,9 @@ def test_a_primitive_on_branches_leaves_episodes_that_go_on(tmp_path):
     assert found["last.npz/running/steps"].max() == 16  # two generations of two intervals
     assert found["last.npz/running/states"].shape[0] == 6
     assert found["generation_000001.npz/running/steps"].max() == 8
+    settings = BY_ENVIRONMENT["point-flagrun"]["episodes that end"]
+    path = runs.train_tiny(tmp_path / "ends", "point-flagrun", **{**METHOD, **settings})
+    assert [runs.state(path, number).running is None for number in (1, 2, 3)] == [False, True, False]
 
 
 def test_every_choice_of_every_name_is_compared():
