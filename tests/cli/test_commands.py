@@ -42,9 +42,7 @@ def test_list_shows_runs_and_shipped_agents(shes, tiny_run, tmp_path, monkeypatc
     assert re.search(r"│ \S+run +│ point-gather +│ 4 / 4 +│ -?[\d.]+ +│ finished", text)
     told = read_agent("ant-gather")
     compared = (told.evaluation, told.evaluation.constant, told.evaluation.random)
-    scores = " +│ ".join(
-        f"{each.score_mean:.2f} ± {each.score_std / math.sqrt(each.episodes):.2f}" for each in compared
-    )
+    scores = " +│ ".join(f"{one.score_mean:.2f} ± {one.score_std / math.sqrt(one.episodes):.2f}" for one in compared)
     assert re.search(rf"ant-gather +│ ant-gather +│ {scores} +│ ", text)
     assert re.search(rf"^ant-gather +{re.escape(told.description)}\.$", text, re.MULTILINE)
     found = json.loads(shes("list", tiny_run.parent, "--json"))

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,17 @@ def patient(seconds):
 def train_tiny(path, env="point-gather", **settings):
     """Train in this process; return the run folder."""
     return train(env, out=path, **{**TINY, **settings}).path
+
+
+def trained_once(folder, kinds):
+    """Return a function that returns the run folder of a kind (environment, settings), trained when first asked for."""
+
+    @cache
+    def find(kind):
+        env, settings = kinds[kind]
+        return train_tiny(folder / kind, env, **settings)
+
+    return find
 
 
 class AfterGeneration:

@@ -60,11 +60,7 @@ FIXED = {"target": (1, 2), "target_sampling": "free_cells"}
         ("point-maze", {"waypoints": (8, 0)}, r"waypoints \(8.0, 0.0\) need a fixed target.* 0 16, or --waypoints no"),
         ("point-flagrun", {"max_tilt": 45.0}, r"the point has no tilt to limit\. Define `cos_tilt` .*omit --max-tilt"),
         ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, r"the point has no tilt to limit"),
-        (
-            "point-maze",
-            FIXED,
-            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' .*Omit --t",
-        ),
+        ("point-maze", FIXED, r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' .*Omit "),
     ],
 )
 def test_options_that_do_not_fit_together_are_refused(name, options, message):

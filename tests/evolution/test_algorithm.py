@@ -1,6 +1,6 @@
 """`evolve` on made-up fitness: the textbook's iterates, whoever is perturbed; schedules, and levels that rest.
 
-What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `rollout/test_same_numbers.py`.
+What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `e2e/test_same_numbers.py`.
 """
 
 import math
@@ -112,10 +112,8 @@ def test_in_turns_a_level_rests_but_goes_on_observing(table):
     state = formula_state()
     for generation, report in enumerate(formula_run(table, 4, replace(SETTINGS, perturbation="one_to_many"), state)[1]):
         before, after = ([bits([own.theta, own.optimizer]) for own in each.levels] for each in (state, report.state))
-        assert [one == other for one, other in zip(before, after, strict=True)] == [
-            generation % 2 == 1,
-            generation % 2 == 0,
-        ]
+        rests = [one == other for one, other in zip(before, after, strict=True)]
+        assert rests == [generation % 2 == 1, generation % 2 == 0]
         assert {level.statistics.count for level in report.state.levels} == {(generation + 1) * 8 * EPISODES * 7}
         state = report.state
 

@@ -27,14 +27,8 @@ DEVICE = os.environ.get("SHES_TEST_DEVICE", "cuda")
 SIMULATOR = partial(WarpSimulator, device=DEVICE)
 # Feet touch the floor and the block of Push rests against walls: those agree with C mostly, not always.
 IN_CONTACT = {"ant", "one-hot"}
-TINY = {
-    "preset": "smoke",
-    "population_size": 16,
-    "horizon": 20,
-    "noise_table_size": 200_000,
-    "evaluation_episodes": 4,
-    "evaluation_interval": 1,
-}
+TINY = {"preset": "smoke", "population_size": 16, "horizon": 20, "noise_table_size": 200_000}
+TINY |= {"evaluation_episodes": 4, "evaluation_interval": 1}
 
 
 @pytest.fixture(scope="module")

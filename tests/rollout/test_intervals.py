@@ -118,9 +118,8 @@ class Case:
         return play(design, make, task, generation, self.table, horizon)
 
     def draw(self, before=()):
-        return (draw_pairs if before else self.settings.estimates[0])(
-            self.state, self.settings, self.table.size, before
-        )
+        draw = draw_pairs if before else self.settings.estimates[0]
+        return draw(self.state, self.settings, self.table.size, before)
 
     def check(self, population):
         """Compare each task's outcomes with the plain loop; return what that saw, by the task's first member."""

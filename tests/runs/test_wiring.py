@@ -123,14 +123,8 @@ def goals_within(record, distance):
 
 SHORT = {"horizon": 10, "evaluation_horizon": 10}
 """Where neither an interval nor an episode has to end, a few steps tell as much."""
-INTERVALS = {
-    "primitive_estimate": "interval",
-    "primitive_view": "egocentric",
-    "population_size": 8,
-    "sigma": 0.2,
-    "learning_rate": 0.04,
-    "horizon": 70,
-}
+BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric"}
+INTERVALS = {**BRANCHES, "population_size": 8, "sigma": 0.2, "learning_rate": 0.04, "horizon": 70}
 BRIEF = {**INTERVALS, "horizon": 12, "controller_interval": 5}
 SCHEDULED = {"common": BRIEF, "generations": (0, 4, 8)}
 GROUPS: dict[str, Group] = {
