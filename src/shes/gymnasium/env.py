@@ -12,8 +12,8 @@ from gymnasium.spaces import Box
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from shes.drawing.make_drawer import make_drawer
-from shes.drawing.renderer import CAMERAS, Drawer, Picture
+from shes.drawing.make_drawer import Drawer, make_drawer
+from shes.drawing.renderer import CAMERAS, Picture
 from shes.drawing.window import Window, open_window
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task import Task
