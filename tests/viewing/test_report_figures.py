@@ -22,7 +22,7 @@ from shes.viewing.report_figures import (
 from tests.e2e import runs
 
 RETURNS = "Returns and scores"
-SCORE, PRIMITIVE = Panel(RETURNS, "evaluation", "score_mean"), Panel(RETURNS, "progress", "primitive_return_mean")
+SCORE, PRIMITIVE = Panel("evaluation", "score_mean"), Panel("progress", "primitive_return_mean")
 
 
 def read(*paths):
@@ -37,7 +37,7 @@ def traces(panel, *paths, x="generation"):
 
 
 def titles(*paths, section=RETURNS):
-    return [panel.title for panel in panels_of(read(*paths)) if panel.section == section]
+    return [panel.title for panel in panels_of(read(*paths), section)]
 
 
 def test_every_column_that_changes_has_a_panel(kinds):

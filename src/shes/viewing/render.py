@@ -14,7 +14,6 @@ import numpy as np
 from shes.drawing.make_drawer import Drawer, make_drawer
 from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
-from shes.runs.folder import RunFolder
 from shes.settings import Ge, Le, Lt, checked, out_of_range
 from shes.viewing.playback import Playback
 from shes.viewing.video import FRAMES_PER_SECOND, captioned, check_video_path, write_video
@@ -68,8 +67,6 @@ def render(
     if size % 2:
         raise out_of_range("size", size, "an even number of pixels")
     shown = _shown(runs, checkpoints)
-    for run, *_ in shown:
-        RunFolder.open(run)
     playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     episode_seed = playbacks[0].seed_of(episode)
     with ExitStack() as stack:
