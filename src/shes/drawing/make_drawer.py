@@ -31,7 +31,7 @@ _HOW_TO_GET_OPENGL = (
 )
 _PROBE_TIMEOUT_S = 60.0
 _BOX, _SPHERE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_SPHERE)
-_BARS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
+_ROUND = (_SPHERE, int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _OVERSAMPLING = 2  # flat pictures are drawn larger and then reduced, which smooths edges
 _FOLLOW_HALF_M, _LINE_EVERY_M = 7.0, 2.0
 _GROUND, _GROUND_LINE, _CHASM = (216, 221, 214), (198, 205, 197), (164, 170, 166)
@@ -60,19 +60,13 @@ class FlatRenderer(Renderer):
             sheet.bar(ends, marker.radius, tuple(round(255 * part) for part in marker.color))
         drawn = {outline.geom for outline in scenery}
         for geom in np.argsort(self.data.geom_xpos[:, 2], kind="stable").tolist():
-            if geom not in drawn:
-                self._draw_part(sheet, geom)
+            kind, size, place = self.model.geom_type[geom], self.model.geom_size[geom], self.data.geom_xpos[geom]
+            if kind == _BOX and geom not in drawn:
+                sheet.polygon(box_corners(self.model, self.data, geom), _ROBOT)
+            elif kind in _ROUND:  # planes are not drawn
+                half = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * (0 if kind == _SPHERE else size[1])
+                sheet.bar(np.array([place - half, place + half]), size[0], _ROBOT)
         return sheet.picture()
-
-    def _draw_part(self, sheet: _Sheet, geom: int) -> None:
-        """Draw a geom of the robot; planes are not drawn."""
-        kind, size = int(self.model.geom_type[geom]), self.model.geom_size[geom]
-        place, axis = self.data.geom_xpos[geom], self.data.geom_xmat[geom].reshape(3, 3)[:, 2]
-        if kind == _BOX:
-            sheet.polygon(box_corners(self.model, self.data, geom), _ROBOT)
-        elif kind in (_SPHERE, *_BARS):
-            half = axis * (0 if kind == _SPHERE else size[1])
-            sheet.bar(np.array([place - half, place + half]), size[0], _ROBOT)
 
 
 class _Sheet:

@@ -42,8 +42,18 @@ class TaskAdapter:
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode
-        self._picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
-        self.task = _make_task(name, num_envs, options, min(num_threads, num_envs))
+        environment = ENVIRONMENTS.find(name)
+        of_task, of_body = environment.task.Options, environment.body.Options
+        names = {*setting_fields(of_task), *setting_fields(of_body), *_PICTURE_DEFAULTS}
+        for option in options:
+            if option not in names:
+                known = ", ".join(nearest_first(option, names))
+                raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
+        if setting_fields(of_body):
+            environment = environment.with_body_options(of_body.of(options))
+        simulator = partial(CpuSimulator, num_threads=min(num_threads, num_envs))
+        self.task: Task = environment.make(num_envs, of_task.of(options), simulator)
+        self._picture = {**_PICTURE_DEFAULTS, **options}
         if self._picture["camera"] not in CAMERAS:
             raise UnknownNameError("camera", self._picture["camera"], CAMERAS)
         low, high = np.array([(element.low, element.high) for element in self.task.observation_spec]).T
@@ -115,21 +125,6 @@ class TaskAdapter:
             if holder is not None:
                 holder.close()
         self._drawer = self._window = None
-
-
-def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads: int) -> Task:
-    """Return the task of environment `name`; check the names of the options of task, body and pictures."""
-    environment = ENVIRONMENTS.find(name)
-    of_body = environment.body.Options
-    names = {*setting_fields(environment.task.Options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
-    for option in options:
-        if option not in names:
-            known = ", ".join(nearest_first(option, names))
-            raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
-    if setting_fields(of_body):
-        environment = environment.with_body_options(of_body.of(options))
-    simulator = partial(CpuSimulator, num_threads=num_threads)
-    return environment.make(num_envs, environment.task.Options.of(options), simulator)
 
 
 class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
