@@ -52,6 +52,7 @@ def test_every_column_that_changes_has_a_panel(kinds):
     diagnostics = titles("ant-maze", section="Diagnostics")
     assert {"controller gradient norm", "controller halves cosine", "cells", "env steps per s"} <= set(diagnostics)
     assert not {"sigma", "wall time s", "rollout s", "episodes, evaluation"} & set(diagnostics)
+    assert "goals reached, evaluation" in titles("ant-walker")
     assert "policy return, training" in titles(kinds["flat"])
     assert not [title for title in titles(kinds["flat"]) if "primitive" in title]
 
