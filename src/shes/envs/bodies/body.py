@@ -199,9 +199,9 @@ class Body(ABC):
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add the robot and its actuators to `spec`, at the origin, on ground of height `ground_m`."""
 
-    def add_drawn_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the robot as it looks in pictures: here as in `add_to`."""
-        self.add_to(spec, ground_m)
+    def as_drawn(self) -> Body:
+        """Return the body that `add_to` adds to a world for pictures, whose coordinates are those of this one."""
+        return self
 
     def add_motors(self, spec: mujoco.MjSpec, gear: float = 1.0) -> None:
         """Add a motor to `spec` for each of `controls`, if these are names of joints."""

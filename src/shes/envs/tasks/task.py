@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -253,9 +252,7 @@ class Task(EpisodeBatch):
 
     def world_to_draw(self) -> mujoco.MjSpec:
         """Return a new world to draw poses in."""
-        drawn = copy(self.body)
-        drawn.add_to = self.body.add_drawn_to  # type: ignore[method-assign] - worlds are built in several places
-        return self.build_world(drawn, self.options)
+        return self.build_world(self.body.as_drawn(), self.options)
 
     def pose(self, episode: int) -> F64Array:
         """Return a copy of the qpos [nq] of episode `episode`, as a NumPy array."""
