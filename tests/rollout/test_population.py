@@ -11,14 +11,14 @@ from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
 from shes.rollout.roll_out import PopulationResults
 from tests.es.textbook import centred_ranks, group_signs
-from tests.rollout.formula import SETTINGS, formula_state
+from tests.rollout.formula import evolving, formula_state
 
 # What is drawn --------------------------------------------------------------------------------------------------------
 
 
 def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
     """Return the members of a generation and, per member, its task's quantities."""
-    settings = replace(SETTINGS, population_size=population, episodes_per_policy=episodes, **options)
+    settings = evolving(population_size=population, episodes_per_policy=episodes, **options)
     settings = replace(settings, perturbation=perturbation)
     draws, members = draw_episodes(replace(formula_state(), generation=generation, seed=seed), settings, 50_000), []
     for task in draws.tasks:

@@ -110,7 +110,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul: its episodes per generation."""
-        return self.hyperparameters.episodes_per_policy
+        return self.hyperparameters.evolution.episodes_per_policy
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""
