@@ -54,7 +54,7 @@ def test_ties_and_divergences_are_the_textbooks(table, ties, diverging):
     whole = 8 * (100 + 101 + 102)
     assert [(each.state.generation, each.state.env_steps) for each in reports] == [(k, k * whole) for k in range(1, 6)]
     for generation, report in zip(backend.generations[1:], reports, strict=False):
-        assert not generation.is_evaluation
+        assert generation.kind == "training"
         for sent, level, dim in zip(generation.levels, report.state.levels, DIMS, strict=True):
             assert sent.theta.tobytes() == level.theta.tobytes()
             assert sent.mean == pytest.approx(np.full(dim, 2))  # 14 / 7

@@ -9,6 +9,7 @@ from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, member_signs
 from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
+from shes.rollout.episodes import empty_outcomes
 from shes.rollout.roll_out import PopulationResults
 from tests.es.textbook import centred_ranks, group_signs
 from tests.rollout.formula import evolving, formula_state
@@ -78,7 +79,7 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
         ([[3], [-9]], [[1], [1]], [3, -9]),  # there is nothing to compare with
         ([[1, 3], [0, 2]], [[0, 0], [0, 0]], [2, 1]),
     ):
-        results = PopulationResults.empty(2, len(returns), len(returns[0]))
+        results = PopulationResults(outcomes=empty_outcomes(2, len(returns), len(returns[0])))
         results.returns[:] = returns, np.add(returns, 100)  # each level has its own worst
         results.has_diverged[:] = has_diverged
         assert results.fitness.tolist() == [fitness, np.add(fitness, 100).tolist()]

@@ -62,7 +62,7 @@ class WorkerPlan(EpisodeSetup):
 
     def of(self, generation: Generation) -> tuple[TaskOptions, int, AgentDesign]:
         """Return the task's options, the most control steps and the agents of the episodes of `generation`."""
-        if generation.is_evaluation:
+        if generation.kind == "evaluation":
             return self.evaluation, self.evaluation_horizon, self.design
         if generation.branch_steps:
             return self.training, generation.branch_steps, self.branch_design or self.design
