@@ -101,13 +101,14 @@ def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, di
 def check_against_textbook(table, settings, generations=5, diverging=(), **options):
     """Compare a run with the textbook's; return its backend and its reports."""
     backend, reports = formula_run(table, generations, settings, diverging=diverging)
+    own, episodes = settings.evolution, settings.evolution.episodes_per_policy
     book = TextbookES(
         [level.theta for level in backend.generations[0].levels],
-        mirrored=settings.evolution.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
+        mirrored=own.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
     )  # fmt: skip
     for generation, report in enumerate(reports):
-        book.sigma, book.rate = (settings.evolution.value(name, generation) for name in ("sigma", "learning_rate"))
-        rows, episodes = zip(report.populations[0].noise_index, DIMS, strict=True), settings.evolution.episodes_per_policy
+        book.sigma, book.rate = own.value("sigma", generation), own.value("learning_rate", generation)
+        rows = zip(report.populations[0].noise_index, DIMS, strict=True)
         noise = [[table.slice(i, dim) for i in row.tolist()] for row, dim in rows]
         paid = np.array([formula(*pair) for pair in book.candidates(noise)]).T[:, :, None]
         paid = paid + np.arange(episodes) - (episodes - 1) / 2

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Problem
 from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule

@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.agents.agent import AgentDesign
-from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Report
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
 from shes.evolution.algorithm import GenerationReport, evolve
