@@ -217,7 +217,6 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
 def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
     """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
     _check_arrays(arrays, start)
-    check_finite(arrays)
     running = archive = None
     if "archive/cells" in arrays:
         found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
@@ -254,10 +253,5 @@ def _check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
                 f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
                 f"{own.shape}. Put back the checkpoint of this run."
             )
-
-
-def check_finite(arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise CheckpointError if one of `arrays` holds NaN or infinity."""
-    for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
