@@ -215,10 +215,8 @@ def test_running_episodes_go_on_where_the_kept_side_ended(alone):
             run, has_fallen = played[task.member], played[task.member].outcomes[kept]["has_fallen"]
             goes_on = not has_fallen and before + 10 < 30
             seen.add((before, has_fallen, goes_on))
-            assert (-1 if running is None else running.steps[group]) == (before + 10 if goes_on else -1)
-            assert not goes_on or running.states[group].tobytes() == run.ends[kept].tobytes()
-            old = -1 if state.running is None else state.running.steps[group]
-            assert (task.start is None) == (old < 0)
-            assert old < 0 or bits(task.start) == bits(Snapshot(state=state.running.states[group], steps=int(old)))
+            end = running and running[group]
+            assert bits(end) == bits(Snapshot(state=run.ends[kept], steps=before + 10) if goes_on else None)
+            assert task.start is (state.running and state.running[group])
         state = report.state
     assert {(0, False, True), (10, False, True), (20, False, False), (0, True, False)} <= seen

@@ -24,7 +24,7 @@ from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import MIRRORINGS, Signs, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.evolution.state import RunningEpisodes, TrainState
+from shes.evolution.state import TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
 from shes.rollout.roll_out import PopulationResults
@@ -242,9 +242,7 @@ def draw_pairs(
         snapshots = [each for one in before for each in one.results.snapshots.values()]
         starts = _drawn_starts(rng, snapshots, estimate, groups)
     else:
-        running = state.running or RunningEpisodes(states=np.zeros((groups, 0)), steps=np.full(groups, -1))
-        ends = zip(running.states, running.steps.tolist(), strict=True)
-        starts = [None if steps < 0 else Snapshot(state=end, steps=steps) for end, steps in ends]
+        starts = state.running or [None] * groups
     tasks = [
         EpisodeTask(
             member=2 * group,
@@ -288,22 +286,13 @@ def _drawn_starts(
     return [snapshots[order[group % len(order)]] for group in range(groups)]
 
 
-def next_running(pairs: Population, horizon: int) -> RunningEpisodes | None:
+def next_running(pairs: Population, horizon: int) -> tuple[Snapshot | None, ...] | None:
     """Return the episodes after `pairs`: each continues from one of the pair's two ends.
 
     It starts anew if that end was terminal or reached the horizon. None means that all start anew.
     """
-    ends = {
-        member // 2: (end.state, end.steps)
-        for (member, _), end in pairs.results.snapshots.items()
-        if end.state is not None and end.steps < horizon
-    }
-    if not ends:
-        return None
-    states, steps = np.zeros((len(pairs.signs), len(next(iter(ends.values()))[0]))), np.full(len(pairs.signs), -1)
-    for group, end in ends.items():
-        states[group], steps[group] = end
-    return RunningEpisodes(states=states, steps=steps)
+    ends = {member // 2: end for (member, _), end in pairs.results.snapshots.items() if end.steps < horizon}
+    return tuple(map(ends.get, range(len(pairs.signs)))) if ends else None
 
 
 Estimate: TypeAlias = Callable[[TrainState, Hyperparameters, int, Sequence[Population]], Draws]
