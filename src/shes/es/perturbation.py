@@ -98,11 +98,21 @@ def member_signs(
         learns: Whether each level learns. A level that does not is never perturbed.
         generation: Number of updates so far.
     """
+    check_population_size(perturbation, mirrored, population_size, learns)
     parts = PERTURBATIONS.find(perturbation)(generation, np.flatnonzero(learns).tolist())
-    num_levels, rows = len(parts[0]), sign_matrix(mirrored, len(parts[0]))
-    members, whole = len(rows), len(rows) * len(parts)
+    rows = sign_matrix(mirrored, len(parts[0]))
+    signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)
+    for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
+        part[:, :, levels] = rows
+    return signs
+
+
+def check_population_size(perturbation: str, mirrored: str, population_size: int, learns: Sequence[bool]) -> None:
+    """Raise ConfigError unless the members fill whole groups; see `member_signs`."""
+    parts = PERTURBATIONS.find(perturbation)(0, np.flatnonzero(learns).tolist())
+    levels, members = len(parts[0]), len(sign_matrix(mirrored, len(parts[0])))
+    whole, perturbed = members * len(parts), f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
     if population_size <= 0 or population_size % whole:
-        perturbed = f"{num_levels} level{'s are' if num_levels > 1 else ' is'} perturbed"
         group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
         if len(parts) > 1:
             group = f"a group of {members} with {mirrored!r} mirroring for each level that learns"
@@ -111,7 +121,3 @@ def member_signs(
             f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
             f"Set --population-size {lower} or {lower + whole}."
         )
-    signs = np.zeros((population_size // members, members, len(learns)), dtype=np.int8)
-    for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
-        part[:, :, levels] = rows
-    return signs
