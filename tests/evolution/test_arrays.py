@@ -50,11 +50,8 @@ def ending_in(value):
     return lambda array: np.append(array.ravel()[:-1], value).reshape(array.shape).astype(array.dtype)
 
 
-OF_RUN, OTHER, NAN = (
-    "is not of this run: it {} Put back",
-    "holds {} as .*, where this run has ",
-    "NaN or infinity in {}",
-)
+OTHER, NAN = "holds {} as .*, where this run has ", "NaN or infinity in {}"
+OF_RUN = "is not of this run: it {} Put back"
 CHANGES = [
     ("controller/theta", lambda array: array[:-1], OTHER),
     ("primitive/theta", lambda array: array[None], OTHER),

@@ -128,8 +128,7 @@ def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
 
 
 @pytest.mark.parametrize(
-    ("env", "settings", "name"),
-    [("point-gather", {"algorithm": "es"}, "policy"), ("point-flagrun", {}, "primitive")],
+    ("env", "settings", "name"), [("point-gather", {"algorithm": "es"}, "policy"), ("point-flagrun", {}, "primitive")]
 )
 def test_a_run_of_one_level_has_the_columns_of_that_level_alone(tmp_path, env, settings, name):
     table = read_csv(runs.train_tiny(tmp_path / "run", env, generations=1, **settings) / "progress.csv")

@@ -62,14 +62,11 @@ class FormulaBackend(Backend):
             luck = slot - (episodes - 1) / 2  # each episode pays a little more or less: fitness is a mean over episodes
             has_diverged.append((task.member + member, slot) in self.diverging)
             returns.append([1e6 if has_diverged[-1] else paid + luck for paid in formula(*policy)])
-        moments = tuple(
-            Moments(count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0))
-            for size in DIMS
-        )
+        totals = [[np.full((k, size), total) for total in (14.0, 63.0)] for size in DIMS]
+        moments = tuple(Moments(count=np.full(k, 7), total=one, total_squares=other) for one, other in totals)
+        steps = 100 + np.array(task.slots) % episodes
         return EpisodeResults(
-            outcomes=outcomes(
-                returns=np.array(returns), has_diverged=has_diverged, steps=100 + np.array(task.slots) % episodes
-            ),
+            outcomes=outcomes(returns=np.array(returns), has_diverged=has_diverged, steps=steps),
             moments=moments if task.records_statistics else None,
         )
 

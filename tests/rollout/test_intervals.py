@@ -95,11 +95,10 @@ ANT = {
     "reset_noise": 0.6,  # some are in the air, or on their backs: they fall sooner or later
     "sigma": 0.3,
     "clock_frequency": 1.3,  # goes on in a branch from where its episode was
-    "rank_ties": "index",
     "chunk_size": 4,  # lanes are used again, out of step with each other
 }
 UNDER_CONTROLLER = {"intervals": 3, "primitive_population_size": 12, "primitive_sigma": 0.2,
-                    "primitive_learning_rate": 0.07}  # fmt: skip
+                    "primitive_learning_rate": 0.07, "fitness_shaping": "centred_rank_index"}  # fmt: skip
 
 
 class Case:
@@ -119,9 +118,8 @@ class Case:
         return play(design, make, task, generation, self.table, horizon)
 
     def draw(self, before=()):
-        return (draw_pairs if before else self.settings.estimates[0])(
-            self.state, self.settings, self.table.size, before
-        )
+        draw = draw_pairs if before else self.settings.estimates[0]
+        return draw(self.state, self.settings, self.table.size, before)
 
     def check(self, population):
         """Compare each task's outcomes with the plain loop; return what that saw, by the task's first member."""

@@ -1,18 +1,21 @@
-"""A population: what is drawn for its members, and what their results are worth to each level."""
+"""A population: what is drawn for its members, how tasks are divided, and what results are worth to each level."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, member_signs
 from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
 from shes.rollout.episodes import empty_outcomes
-from shes.rollout.roll_out import PopulationResults
+from shes.rollout.roll_out import PopulationResults, divide
 from tests.es.textbook import centred_ranks, group_signs
 from tests.rollout.formula import evolving, formula_state
+from tests.rollout.made_up import make_task
 
 # What is drawn --------------------------------------------------------------------------------------------------------
 
@@ -105,3 +108,33 @@ def test_the_price_of_a_fall_goes_past_ranks():
     assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
     for share in (0.0, 1.0):
         assert dear.shape(fitness, signs, np.full(8, share)).tobytes() == plain.tobytes()
+
+
+# How tasks are divided between workers --------------------------------------------------------------------------------
+
+
+@given(sizes=st.lists(st.integers(1, 6), max_size=20), num_workers=st.integers(1, 60))
+def test_every_episode_is_in_one_part_and_in_order(sizes, num_workers):
+    tasks = [make_task(member, range(size)) for member, size in enumerate(sizes)]
+    parts = divide(tasks, num_workers)
+    kept = [(part.member, slot, seed) for part in parts for slot, seed in zip(part.slots, part.seeds, strict=True)]
+    assert kept == [
+        (task.member, slot, seed) for task in tasks for slot, seed in zip(task.slots, task.seeds, strict=True)
+    ]
+    assert all(part.slots for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("num_tasks", "size", "num_workers", "part"),
+    [
+        (250, 20, 2, 20),
+        (250, 20, 240, 5),  # five parts each: whole tasks would be two for some, and leave others idle
+        (250, 20, 250, 20),
+        (250, 20, 600, 10),
+        (1, 20, 2, 10),
+        (1, 20, 60, 1),
+    ],
+)
+def test_tasks_are_as_small_as_workers_need_them(num_tasks, size, num_workers, part):
+    parts = divide([make_task(member, range(size)) for member in range(num_tasks)], num_workers)
+    assert {len(each.slots) for each in parts} == {part}

@@ -175,8 +175,7 @@ def test_an_observation_of_nan_does_not_blame_parameters():
     def on_step(task, *_):
         task.observes_nan[4] = task.age[4] == 6
 
-    tasks = [
-        replace(task, seeds=tuple(make_seed(draw=10 * m + k) for k in range(3))) for m, task in enumerate(tasks_of())
-    ]
+    seeds = [tuple(make_seed(draw=10 * m + k) for k in range(3)) for m in range(len(tasks_of()))]
+    tasks = [replace(task, seeds=own) for task, own in zip(tasks_of(), seeds, strict=True)]
     with pytest.raises(PolicyError, match=rf"member 9 returned NaN .* at step 7; episode seed {tasks[9].seeds[1]}\."):
         results_of(rollout_of(2, make=lambda n: FakeTask(n, on_step)), tasks[8:10])

@@ -170,7 +170,7 @@ SES_PRESETS: Mapping[str, Preset] = {
             "episodes_per_policy": 5,
             "sigma": 0.02,
             "biases": "glorot_normal",
-            "rank_ties": "index",
+            "fitness_shaping": "centred_rank_index",
             "common_random_numbers": "off",
             "statistics_fraction": 0.01,
             "noise_table_size": 250_000_000,

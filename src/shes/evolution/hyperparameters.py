@@ -116,7 +116,7 @@ def _update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     evolution, values = settings.evolution, settings.values
     rule = UpdateRule(
         weight_decay=evolution.weight_decay,
-        holds_when_tied=values["rank_ties"] == "average",
+        holds_when_tied=evolution.fitness_shaping != "centred_rank_index",  # as in the authors' code
         shaping=make(FITNESS_SHAPINGS, evolution.fitness_shaping, values),
         optimizer=make(OPTIMIZERS, evolution.optimizer, values),
     )

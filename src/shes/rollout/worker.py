@@ -19,7 +19,6 @@ from shes.es.noise import NoiseTable
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import NumberedTask, Rollout
 from shes.sim.simulator import CpuSimulator
-from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
@@ -41,8 +40,8 @@ class EpisodeSetup:
     evaluation_horizon: int
     chunk_size: int = 0
     device: str = "cpu"
-    nconmax: int | None = None
-    njmax: int | None = None
+    simulator: SimulatorFactory = CpuSimulator
+    """Creates simulators on `device`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +53,6 @@ class WorkerPlan(EpisodeSetup):
     """Design of the agents in branches, if the primitive is evaluated by intervals."""
     noise_table: Path
     """File of the noise table on the machine of the main process."""
-
-    @property
-    def simulator(self) -> SimulatorFactory:
-        """Function that creates a simulator."""
-        return simulator_factory(self.device, self.nconmax, self.njmax)
 
     def of(self, generation: Generation) -> tuple[TaskOptions, int, AgentDesign]:
         """Return the task's options, the most control steps and the agents of the episodes of `generation`."""
@@ -79,11 +73,6 @@ def lanes_that_fit(parameters: int, rows: int, *, are_external: bool = False) ->
         return max(1, _EXTERNAL_ROWS // rows)
     cached = _CACHE_BYTES // (4 * parameters)
     return max(1, -(-_MIN_ROWS // rows), min(cached, _MAX_ROWS // rows))
-
-
-def simulator_factory(device: str, nconmax: int | None, njmax: int | None) -> SimulatorFactory:
-    """Return the function that creates a simulator on `device`. The CPU ignores `nconmax` and `njmax`."""
-    return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, nconmax=nconmax, njmax=njmax)
 
 
 class _LogCollector(logging.Handler):
