@@ -20,6 +20,7 @@ import pytest
 import shes
 from shes.cli import main
 from shes.errors import ConfigError, ShesError
+from shes.evolution.state import from_arrays
 from shes.runs.checkpoint import load_checkpoint
 from tests.e2e import runs
 
@@ -165,8 +166,12 @@ def test_evaluate_names_its_flags_and_the_checkpoints_there_are(refused, run_cop
 
 @pytest.mark.parametrize("level", ["controller", "primitive"])
 def test_a_policy_that_returns_nan_ends_a_run_that_stays_intact(refused, run_copy, monkeypatch, level):
-    monkeypatch.setattr("shes.evolution.state.check_finite", lambda _: None)  # as if it came from elsewhere
-    change(run_copy / "checkpoints" / "last.npz", f"{level}/theta", -1, np.nan)
+    def damaged(arrays, start):
+        state = from_arrays(arrays, start)
+        next(own for own in state.levels if own.name == level).theta[-1] = np.nan
+        return state
+
+    monkeypatch.setattr("shes.evolution.strategies.from_arrays", damaged)  # a checkpoint with it would be refused
     before = shutil.copytree(run_copy, run_copy.with_name("before"))
     message = r"policy of member \d+ returned NaN or infinity at step 0"
     message += ".*parameters of its primitive are not finite" if level == "primitive" else ""

@@ -99,7 +99,7 @@ def test_a_search_finds_a_way_shortens_it_and_ends():
     is_over = [state.archive.is_over for state in found]
     assert found[-1].env_steps == found[is_over.index(True)].env_steps  # from then on nothing is paid
     assert max(start.steps for start in backend.starts) < 200  # five decisions before the horizon at the latest
-    assert {(each.kind, each.sigma, each.is_evaluation) for each in backend.generations} == {("exploration", 0, False)}
+    assert {(each.kind, each.sigma) for each in backend.generations} == {("exploration", 0)}
 
 
 def test_walkers_turn_at_times_each_in_directions_of_its_own():

@@ -110,7 +110,7 @@ def test_training_and_evaluation_take_turns_if_only_one_fits(device, expected):
     worker = on_device()
     assert play(worker) == (expected, [])
     device.step = Mock(side_effect=[MemoryError("out of memory"), *[None] * 99])
-    assert play(worker, is_evaluation=True)[1] == []
+    assert play(worker, kind="evaluation")[1] == []
     device.step = None
     assert play(worker) == (expected, [])
     assert device.tried == [MEMBERS] * 4

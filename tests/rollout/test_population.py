@@ -11,9 +11,10 @@ from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, member_signs
 from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
+from shes.rollout.episodes import empty_outcomes
 from shes.rollout.roll_out import PopulationResults, divide
 from tests.es.textbook import centred_ranks, group_signs
-from tests.rollout.formula import SETTINGS, formula_state
+from tests.rollout.formula import evolving, formula_state
 from tests.rollout.made_up import make_task
 
 # What is drawn --------------------------------------------------------------------------------------------------------
@@ -21,7 +22,7 @@ from tests.rollout.made_up import make_task
 
 def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
     """Return the members of a generation and, per member, its task's quantities."""
-    settings = replace(SETTINGS, population_size=population, episodes_per_policy=episodes, **options)
+    settings = evolving(population_size=population, episodes_per_policy=episodes, **options)
     settings = replace(settings, perturbation=perturbation)
     draws, members = draw_episodes(replace(formula_state(), generation=generation, seed=seed), settings, 50_000), []
     for task in draws.tasks:
@@ -81,7 +82,7 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
         ([[3], [-9]], [[1], [1]], [3, -9]),  # there is nothing to compare with
         ([[1, 3], [0, 2]], [[0, 0], [0, 0]], [2, 1]),
     ):
-        results = PopulationResults.empty(2, len(returns), len(returns[0]))
+        results = PopulationResults(outcomes=empty_outcomes(2, len(returns), len(returns[0])))
         results.returns[:] = returns, np.add(returns, 100)  # each level has its own worst
         results.has_diverged[:] = has_diverged
         assert results.fitness.tolist() == [fitness, np.add(fitness, 100).tolist()]

@@ -15,6 +15,7 @@ from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.evolution.strategies import SHES
 from shes.machine import num_cores
+from shes.rollout.episodes import empty_outcomes
 from shes.rollout.roll_out import PopulationResults
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
@@ -170,7 +171,7 @@ def test_the_estimate_covers_what_tasks_and_results_take(fits):
     algorithm = build_algorithm(make_config("ant-gather", "smoke", settings))
     tracemalloc.start()
     draws = draw_episodes(algorithm.start(0), algorithm.hyperparameters, 1_000_000)
-    results = PopulationResults.empty(len(draws.levels), members=20_000, episodes=1)  # noqa: F841 - held
+    results = PopulationResults(outcomes=empty_outcomes(len(draws.levels), 20_000, 1))  # noqa: F841 - held
     taken = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert not fits(taken, "ant-gather", **settings)

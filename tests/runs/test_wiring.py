@@ -96,7 +96,7 @@ def num_members(kind="training"):
 
 def longest(record):
     """Return the number of steps of the longest episode of training."""
-    return max(int(each.steps.max()) for each in record.of("training")[0].results)
+    return max(int(each.outcomes["steps"].max()) for each in record.of("training")[0].results)
 
 
 def perturbed(record):

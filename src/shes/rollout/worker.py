@@ -56,7 +56,7 @@ class WorkerPlan(EpisodeSetup):
 
     def of(self, generation: Generation) -> tuple[TaskOptions, int, AgentDesign]:
         """Return the task's options, the most control steps and the agents of the episodes of `generation`."""
-        if generation.is_evaluation:
+        if generation.kind == "evaluation":
             return self.evaluation, self.evaluation_horizon, self.design
         if generation.branch_steps:
             return self.training, generation.branch_steps, self.branch_design or self.design
@@ -121,8 +121,8 @@ class RolloutWorker:
 
     def close(self) -> None:
         """Close the environments; they are made again when they are needed."""
-        for kind in tuple(self._rollouts):
-            self._drop(kind)
+        while self._rollouts:
+            self._rollouts.popitem()[1].batch.close()
 
     def run(self, tasks: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `tasks`, of which about `share` tasks are for this worker, and yield numbered results.
@@ -180,7 +180,7 @@ class RolloutWorker:
         plan, kind = self.plan, generation.kind
         shape = self._lanes, generation.rows_per_lane, generation.members_per_lane
         if kind in self._rollouts and self._rollouts[kind].shape != shape:
-            self._drop(kind)
+            self._rollouts.pop(kind).batch.close()
         if kind not in self._rollouts:
             if plan.device != "cpu":
                 WarpDevice(plan.device).release_memory()
@@ -188,11 +188,6 @@ class RolloutWorker:
             make = partial(plan.env.make, options=options, simulator=plan.simulator)
             self._rollouts[kind] = Rollout(design, make, *shape[:2], horizon, generation.members_per_lane)
         return self._rollouts[kind]
-
-    def _drop(self, kind: str) -> None:
-        """Close the rollout for generations of this kind, if any."""
-        if kind in self._rollouts:
-            self._rollouts.pop(kind).batch.close()
 
     def _most_lanes(self, generation: Generation, share: int) -> int:
         """Return the maximum number of lanes in lockstep: on a device all of them, if they fit into its memory."""

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from shes.agents.agent import AgentDesign
-from shes.algorithms.contract import Algorithm
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Algorithm, Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.external_task import ExternalEnvironment

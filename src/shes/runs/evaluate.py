@@ -137,7 +137,7 @@ def evaluate_state(
             pairs = zip(names, parameters, strict=True)
             levels = tuple(level.at_zero() if own == "controller" else level for own, level in pairs)
         generation = Generation(
-            levels=levels, sigma=0.0, episodes_per_policy=rows, is_evaluation=True, decisions=decisions
+            levels=levels, sigma=0.0, episodes_per_policy=rows, kind="evaluation", decisions=decisions
         )
         results = roll_out_tasks(tasks, generation, backend)
         found.append(replace(_evaluation(results, len(seeds), algorithm.design.intrinsic_level), controller=name))
