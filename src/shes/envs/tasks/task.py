@@ -20,7 +20,7 @@ from shes.envs.worlds import ARENA, INTEGRATORS, SCALE, Grid, add_grid, empty_wo
 from shes.errors import ShapeError, UnknownNameError
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Unasked
 from shes.sim.simulator import CpuSimulator, Simulator
-from shes.streams import EpisodePurpose, episode_stream
+from shes.streams import EpisodePurpose, stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
 SPECS = {"shes": "euler", "hiro": "rk4"}
@@ -284,7 +284,7 @@ class Task(EpisodeBatch):
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
         self.sim.reset(ids)
-        rngs = [episode_stream(int(seed), EpisodePurpose.RESET) for seed in seeds]
+        rngs = [stream(int(seed), EpisodePurpose.RESET) for seed in seeds]
         self._place_robots(ids, rngs)
         given = [i for i, state in enumerate(states) if state is not None]
         if given:
