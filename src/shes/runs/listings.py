@@ -175,10 +175,9 @@ def _model_card(folder: RunFolder) -> str:
     command = shlex.join(map(str, folder.read_record().get("command", []))) if agent is None else agent.commands[-1]
     rows = [f"| {each.controller or 'none'} | {each.score} | {100 * each.success_rate:.0f} % |" for each in scores]
     title = folder.path.resolve().name
+    quoted = {"name": title, "env": config.run.env, "score": scores[0].score}
     return _CARD.format(
-        name=_text(title),
-        env=_text(config.run.env),
-        score=_text(scores[0].score),
+        **{name: json.dumps(value, ensure_ascii=False) for name, value in quoted.items()},
         title=title,
         run_env=config.run.env,
         algorithm=config.run.algorithm,
@@ -191,7 +190,3 @@ def _model_card(folder: RunFolder) -> str:
         command=command,
         video=f"\n<video controls src={_VIDEO}></video>\n" if (folder.path / _VIDEO).exists() else "",
     )
-
-
-def _text(value: str) -> str:
-    return json.dumps(value, ensure_ascii=False)

@@ -176,12 +176,7 @@ def _curves(title: str, groups: Sequence[Group]) -> str:
 
 
 def _maps(
-    groups: Sequence[Group],
-    begin_part: Callable[[], None],
-    episodes: int,
-    seed: int | None,
-    *,
-    has_videos: bool,
+    groups: Sequence[Group], begin_part: Callable[[], None], episodes: int, seed: int | None, *, has_videos: bool
 ) -> str:
     """Return maps and videos of the first run of each group, as far as they can be made."""
     cards: list[str] = []
@@ -238,7 +233,7 @@ def _settings(runs: Sequence[RunData]) -> str:
         env, preset, algorithm = run.config.run.env, run.config.run.preset, run.config.run.algorithm
         with _noting(run, "preset"):
             configs[f"preset {preset} of {algorithm} for {env}"] = make_config(env, preset, {"algorithm": algorithm})
-    columns = [dict(chain(*(part.items() for part in config.to_dict().values()))) for config in configs.values()]
+    columns = [config.values for config in configs.values()]
     rows = [
         (name, *(setting_text(each[name]) if name in each else "-" for each in columns))
         for name in dict.fromkeys(chain(*columns))
@@ -289,7 +284,6 @@ def _section(title: str, *parts: str) -> str:
 
 
 def _paragraph(text: str, kind: str = "hint") -> str:
-    """Return a paragraph of class `kind`."""
     return f'<p class="{kind}">{escape(text)}</p>'
 
 
@@ -303,8 +297,6 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _plot(name: str, figure: Figure) -> str:
-    """Return the figure, called `name`, and its place."""
-    place, content = escape(name), json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'<script type="application/json" data-plot="{place}">{content}</script><div class="plot" id="{place}"></div>'
-    )
+    """Return the data of the figure called `name`, and its place."""
+    place, data = escape(name), json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return f'<script type="application/json" data-plot="{place}">{data}</script>\n<div class="plot" id="{place}"></div>'

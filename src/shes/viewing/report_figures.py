@@ -102,10 +102,7 @@ def _curve_layout(panels: Sequence[Panel], abscissae: Sequence[str]) -> dict[str
         {
             "method": "update",
             "label": label,
-            "args": [
-                {"visible": [each == x for each in abscissae]},
-                {f"{axis}.title.text": label for axis in axes},
-            ],
+            "args": [{"visible": [each == x for each in abscissae]}, {f"{axis}.title.text": label for axis in axes}],
         }
         for x, (label, _) in X_AXES.items()
     ]
