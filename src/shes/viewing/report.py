@@ -30,7 +30,7 @@ from shes.storage import write_atomically
 from shes.types import F64Array
 from shes.viewing.curves import confidence_interval
 from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_text
-from shes.viewing.render import render
+from shes.viewing.render import check_target, render
 from shes.viewing.report_figures import (
     MOST_EPISODES,
     SECTIONS,
@@ -39,7 +39,6 @@ from shes.viewing.report_figures import (
     panels_of,
     play_maps,
 )
-from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
 _MOST_SHOWN = 6
