@@ -130,12 +130,9 @@ class Recorder:
             "evaluation": CsvTable(folder.evaluation, checkpoint.generation),
         }
         self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
+        self.close = self._events.close
         self._earlier_s = last_value(folder.progress, "wall_time_s")
         self._earlier_process_s = last_value(folder.progress, "process_time_s")
-
-    def close(self) -> None:
-        """Close the event file."""
-        self._events.close()
 
     def begin(self, backend: Backend, changes: Iterable[str]) -> None:
         """Start the clock, and tell of the run, of `changes` since it began, and of warnings about its settings."""
