@@ -131,16 +131,14 @@ def _as_numbers(actions: ArrayLike) -> F64Array:
 def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads: int) -> Task:
     """Return the task of environment `name`; check the names of the options of task, body and pictures."""
     environment = ENVIRONMENTS.find(name)
-    of_body = environment.body.Options
-    names = {*setting_fields(environment.task.Options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
+    own = environment.task.Options
+    names = {*setting_fields(own), *setting_fields(environment.body.Options), *_PICTURE_DEFAULTS}
     for option in options:
         if option not in names:
             known = ", ".join(nearest_first(option, names))
             raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
-    if setting_fields(of_body):
-        environment = environment.with_body_options(of_body.of(options))
     simulator = partial(CpuSimulator, num_threads=num_threads)
-    return environment.make(num_envs, environment.task.Options.of(options), simulator)
+    return environment.with_options(options).make(num_envs, own.of(options), simulator)
 
 
 class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):

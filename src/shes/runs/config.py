@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
+from shes.envs.external_task import ExternalOptions
 from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError
@@ -235,7 +236,8 @@ def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]
 
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
-    classes = dict.fromkeys(cls for env in ENVIRONMENTS.values() for cls in (env.task.Options, env.body.Options))
+    own = (cls for env in ENVIRONMENTS.values() for cls in (env.task.Options, env.body.Options))
+    classes = dict.fromkeys((*own, ExternalOptions))
     sections = [_OF_EVERY_RUN, *({"": cls} for cls in classes), *(each.sections for each in algorithm_classes())]
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 
