@@ -31,11 +31,9 @@ def train(
 
     shes train point-gather --generations 60 --out runs/first
 
-    shes train --like runs/first --seed 2
-
     Args:
-        env: Environment (`shes envs`) or `gymnasium:ID`; by default that of --like.
-        like: Run or shipped agent that gives all settings that are not given here, but its seed.
+        env: Environment (`shes envs`) or `gymnasium:ID`.
+        like: Run whose environment and settings are the defaults.
         seed: Seed; each of several becomes a run.
         out: The run folder; if none, below runs/.
         sweep: A run for each value: sigma=0.02,0.05.

@@ -42,7 +42,7 @@ class ExternalOptions(TaskOptions):
     env_kwargs: Annotated[dict[str, Any] | None, Example("""'{"size": 3}'""")] = None
     """Keyword arguments of `gymnasium.make`, or of the function that makes the environment, in JSON."""
     reset_options: Annotated[dict[str, Any] | None, Example("""'{"start": [0, 1]}'""")] = None
-    """The argument `options` of every `reset` of the environment, in JSON."""
+    """Options of every reset, `reset(options=...)`, in JSON."""
 
 
 class ExternalTask(EpisodeBatch):
