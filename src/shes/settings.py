@@ -182,9 +182,9 @@ class Setting:
     def allowed(self) -> str:
         """The allowed values in words, for error messages."""
         count = f"{self.length} " if self.length else ""
-        words = {bool: "true or false", str: "a name", dict: "a JSON object of names and values"}.get(
-            self.item
-        ) or f"a {getattr(self.item, '__name__', '')}"
+        words = {bool: "true or false", str: "a name"}.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
+        if self.kind is dict:
+            words = "a JSON object of names and values"
         if self.item in (int, float):
             words = range_in_words(self.item, self.notes, is_many=self.kind is tuple)
         return count + words + "".join(f", e.g. {self.flag} {note.text}" for note in self.all_of(Example))

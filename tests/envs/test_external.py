@@ -29,7 +29,7 @@ from shes.envs.named_environments import (
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
-from shes.viewing.render import render
+from shes.viewing.playback import Playback
 from tests.contracts import test_task_contract as contract
 from tests.e2e import runs
 from tests.e2e.own_classes import Corner
@@ -308,7 +308,9 @@ TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 1, 
 def test_every_environment_of_a_run_has_the_options_of_its_record(made, tmp_path, monkeypatch):
     run = shes.train("placed", out=tmp_path / "run", **TINY, **PLACED)
     shes.evaluate(run.path, episodes=2, num_workers=1)
-    render(run.path, tmp_path / "walk.gif", size=64, steps=2)
+    playback = Playback(run.path, "last")
+    playback.task.draw_by("rgb_array")
+    next(playback.play(seed=3))
     assert {*map(str, made)} == {*map(str, [("made", 2, None), ("made", 2, "rgb_array"), ("reset", [3.0, 4.0])])}
     assert json.loads((run.path / "config.json").read_text())["config"]["environment"].items() >= PLACED.items()
     assert make_config("placed", None, {"like": run.path}).values.items() >= PLACED.items()

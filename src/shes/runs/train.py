@@ -96,8 +96,8 @@ def train(
 
     Args:
         env: Environment, e.g. `ant-gather`; that of run `like` if none.
-        like: A run folder or shipped agent, whose settings, but not its seed, are those that are not given here. Those
-            of its preset become those of the preset for `env`.
+        like: A run folder or shipped agent that gives every setting that is not given here, except for the seed. In
+            another environment, values of its preset are those for that environment.
         preset: `laptop` (if none), `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
         out: The run folder, which must not hold a run; a new one below `runs/` if none.
         listener: Receives the progress: a function of a row of `progress.csv`, an object with any of the methods
