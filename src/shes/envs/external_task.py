@@ -237,7 +237,8 @@ class ExternalEnvironment:
 
     def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
         """Return a single environment without the time limit of its registration: the caller counts the steps."""
-        spec, asked = self.spec, deepcopy(self.kwargs) | ({} if render_mode is None else {"render_mode": render_mode})
+        spec, asked = self.spec, deepcopy(self.kwargs)
+        asked |= {} if render_mode is None else {"render_mode": render_mode}
         log_physics_warnings()  # MuJoCo's compiler warns too
         with self.explained(f"be made{f' with {asked}' if asked else ''}"):
             if spec is not None:
