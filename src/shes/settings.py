@@ -18,9 +18,8 @@ import inspect
 import json
 import linecache
 import math
-import operator
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache, wraps
 from itertools import pairwise
@@ -42,7 +41,6 @@ from shes.annotations import (
     Shared,
     Shown,
     Unasked,
-    range_in_words,
 )
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
@@ -55,7 +53,6 @@ __all__ = [
 NoteT = TypeVar("NoteT")
 F = TypeVar("F", bound=Callable[..., Any])
 _SENTENCE_END = r"\.(?:\s|$)"
-_COMPARISONS = {Gt: operator.gt, Ge: operator.ge, Lt: operator.lt, Le: operator.le}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,7 +169,7 @@ class Setting:
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
-        if not all(_COMPARISONS[type(note)](value, note.bound) for note in self.all_of(Bound)):
+        if not all(note.allows(value, note.bound) for note in self.all_of(Bound)):
             return False
         if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
             raise out_of_range(self.name, value, "less than 2**63", self.flag)
@@ -182,11 +179,12 @@ class Setting:
     def allowed(self) -> str:
         """The allowed values in words, for error messages."""
         count = f"{self.length} " if self.length else ""
-        words = {bool: "true or false", str: "a name"}.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
-        if self.kind is dict:
-            words = "a JSON object of names and values"
-        if self.item in (int, float):
-            words = range_in_words(self.item, self.notes, is_many=self.kind is tuple)
+        named = {bool: "true or false", str: "a name", int: "a whole number", float: "a number"}
+        named[dict] = "a JSON object of names and values"
+        words = named.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
+        if self.kind is tuple:
+            words = words.removeprefix("a ") + "s"
+        words += " and".join(f" {note.words} {note.bound:g}" for note in self.all_of(Bound))
         return count + words + "".join(f", e.g. {self.flag} {note.text}" for note in self.all_of(Example))
 
 
@@ -259,7 +257,7 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
     return Setting(name=name, default=default, notes=notes, owner=owner, **types)
 
 
-def registered(names: Collection[str]) -> Mapping[str, Any]:
+def registered(names: Iterable[str]) -> Mapping[str, Any]:
     """Return the registered classes by name, or nothing if `names` is not a registry."""
     return names if isinstance(names, Registry) else {}
 
@@ -304,13 +302,10 @@ def _syntax_tree(file: str) -> ast.Module:
 
 
 def checked(function: F) -> F:
-    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
+    """Return `function`, which now checks the arguments whose annotations say what is allowed.
 
     A call raises as `Setting.checked` does, which also converts the values.
     """
-    if isinstance(function, type):
-        function.__init__ = checked(function.__init__)
-        return function  # type: ignore[return-value] - it is of its own type
     signature = inspect.signature(function)
 
     @wraps(function)

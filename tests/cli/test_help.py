@@ -100,9 +100,7 @@ def test_the_short_help_of_train_shows_what_the_preset_sets(shes):
     assert "preset laptop for ant-gather" in joined(shes("train", "--help"))
 
 
-@pytest.mark.parametrize(
-    "line", ["ant-gather", "point-flagrun --preset smoke", "point-fall", "point-maze --algorithm es"]
-)
+@pytest.mark.parametrize("line", ["ant-gather", "ant-flagrun --preset smoke", "point-fall", "ant-maze --algorithm es"])
 def test_the_whole_help_shows_every_setting_in_its_group(shes, line):
     env, *more = line.split()
     text = shes("train", env, *more, "--help-all")
@@ -177,7 +175,7 @@ def test_the_value_of_a_flag_is_not_taken_for_the_environment(given, line):
     assert given(*line.split()) == ("ant-push", {"primitive": "ant-maze"}, (1, 2))
 
 
-@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("preset", [*PRESET_NAMES])
 def test_the_value_of_every_setting_can_be_written(given, preset):
     config = make_config("ant-gather", preset)
     words, expected, settings = [], {}, config.settings

@@ -34,17 +34,7 @@ from tests.contracts import test_task_contract as contract
 from tests.e2e import runs
 from tests.e2e.own_classes import Corner
 from tests.envs.episodes import assert_same_view, draw_actions, play, view
-from tests.envs.external_envs import (
-    MAX_STEPS,
-    Body,
-    Car,
-    Holder,
-    Silent,
-    Stepper,
-    locate_by_info,
-    locate_car,
-    register,
-)
+from tests.envs.external_envs import MAX_STEPS, Body, Car, Holder, Silent, Stepper, locate_by_info, locate_car, register
 
 ANT_MAZE = "robotics-ant-maze"
 FREE = {"make": Body, "locate": None, "joints": "<freejoint/>"}

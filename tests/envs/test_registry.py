@@ -30,9 +30,8 @@ def restored():
 
 @pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
 def test_an_unknown_environment_is_told_the_nearest_name(call):
-    with pytest.raises(
-        UnknownNameError, match=r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
-    ) as caught:
+    message = r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
+    with pytest.raises(UnknownNameError, match=message) as caught:
         call("pointgather")
     assert all(name in str(caught.value) for name in ENVIRONMENTS)
     assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)

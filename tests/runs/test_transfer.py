@@ -30,11 +30,8 @@ def sources(tmp_path_factory):
     """Return a function that returns the folder of a run with a level to take. Not to be changed."""
     settings = {
         "ant of hiro": ("ant-flagrun", {**ANT, "hidden": (5,), "spec": "hiro"}),
-        "walker": (
-            "ant-flagrun",
-            {**ANT, **WALKER, "generations": 1, "primitive_estimate": "interval", "controller_interval": 4,
-             "hidden": (5,)},
-        ),
+        "walker": ("ant-flagrun", {**ANT, **WALKER, "generations": 1, "primitive_estimate": "interval",
+                                   "controller_interval": 4, "hidden": (5,)}),
         "point": ("point-flagrun", {**ANT, "hidden": (3, 2), **BROUGHT}),
         "plain": ("point-flagrun", ANT),
         "flat": ("point-gather", {"algorithm": "es", "generations": 1}),
@@ -42,15 +39,7 @@ def sources(tmp_path_factory):
         "equivariant": ("point-gather", {**NETWORK, "generations": 1}),
         "controller": ("point-gather", {**BY_CONTROLLER, **SUGGESTED, "generations": 2, "evaluation_interval": 2}),
     }  # fmt: skip
-    made = {}
-
-    def find(name):
-        if name not in made:
-            env, own = settings[name]
-            made[name] = runs.train_tiny(tmp_path_factory.mktemp("source") / "run", env, **own)
-        return made[name]
-
-    return find
+    return runs.trained_once(tmp_path_factory.mktemp("source"), settings)
 
 
 def level(path, checkpoint, name="primitive"):

@@ -57,9 +57,7 @@ def machine(monkeypatch, versions):
         return stream
 
     cupy = SimpleNamespace(
-        __version__="14.2.0",
-        zeros=np.zeros,
-        cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated),
+        __version__="14.2.0", zeros=np.zeros, cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated)
     )
     for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
         monkeypatch.setitem(sys.modules, name, module)
@@ -124,29 +122,16 @@ OLD_CUPY = "cudaErrorInsufficientDriver: CUDA driver version is insufficient for
 @pytest.mark.parametrize(
     ("warp", "cupy", "message"),
     [
-        (
-            {"get_cuda_device_count": lambda: 0, "init": lambda: os.write(2, NO_DRIVER)},
-            {},
-            r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\.",
-        ),
-        (
-            {"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)},
-            {},
-            r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the",
-        ),
-        (
-            {"get_cuda_driver_version": lambda: (12, 8)},
-            fails(OLD_CUPY),
-            r"newer driver: CuPy says .*for CUDA 12\.8\. Update it .*--device cpu",
-        ),
-        (
-            {},
-            fails("Out of memory allocating 512 bytes"),
-            r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\.",
-        ),
+        ({"get_cuda_device_count": lambda: 0, "init": lambda: os.write(2, NO_DRIVER)}, {},
+         r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."),
+        ({"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)}, {},
+         r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the"),
+        ({"get_cuda_driver_version": lambda: (12, 8)}, fails(OLD_CUPY),
+         r"newer driver: CuPy says .*for CUDA 12\.8\. Update it .*--device cpu"),
+        ({}, fails("Out of memory allocating"), r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\."),
     ],
     ids=["no driver", "old driver", "driver older than CuPy", "full GPU"],
-)
+)  # fmt: skip
 def test_a_card_that_cannot_be_used_is_a_clear_error(machine, warp, cupy, message):
     vars(machine.warp).update(warp)
     vars(machine.cupy).update(cupy)
