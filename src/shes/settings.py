@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache, wraps
 from itertools import pairwise
+from operator import methodcaller
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -158,7 +159,7 @@ class Setting:
         try:
             found = json.loads(value) if isinstance(value, str) else value
             if isinstance(found, Mapping) and all(isinstance(name, str) and name.isidentifier() for name in found):
-                return json.loads(json.dumps(dict(found), allow_nan=False, default=operator.methodcaller("tolist")))
+                return json.loads(json.dumps(dict(found), allow_nan=False, default=methodcaller("tolist")))
         except (AttributeError, RecursionError, TypeError, ValueError):  # no JSON
             pass
         raise out_of_range(self.name, value, self.allowed, self.flag)
