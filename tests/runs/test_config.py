@@ -272,7 +272,6 @@ def test_what_a_run_like_a_shipped_agent_takes():
 
 
 LIKE = [
-    (None, {}, r"a run needs an environment: shes train ENV, or shes train --like RUN for"),
     (None, {"like": "gone"}, r"gone does not exist\. Give the folder that `shes train` printed"),
     (
         None,
