@@ -13,6 +13,7 @@ from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
 from shes.envs.bodies.robot import RobotOptions, read_robot
+from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
@@ -90,7 +91,8 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
             f"Set --preset {', '.join(dict.fromkeys((*PRESETS, *own)))}, or omit --algorithm."
         )
-    limit = find_environment(env).with_options(asked).max_episode_steps
+    found = find_environment(env)
+    limit = found.with_options(asked).max_episode_steps if isinstance(found, ExternalEnvironment) else None
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
     common, special = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, own))
     settings = by_name(settings_by_section(run))
