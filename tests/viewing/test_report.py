@@ -35,6 +35,7 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         if self._figure:
+            assert "<" not in data  # which could end the script
             self.figures[self._figure], self._figure = json.loads(data), None
         else:
             self.texts.append(data)
