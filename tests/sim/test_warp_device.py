@@ -1,9 +1,7 @@
 """Warp devices with a stand-in for Warp: a GPU, driver or package that is missing or too old is a clear error."""
 
-import os
 import sys
 import warnings
-from contextlib import nullcontext
 from importlib import metadata
 from types import SimpleNamespace
 
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 
 from shes.errors import ConfigError, MissingExtraError
-from shes.sim import warp_device
 from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
 
 VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
@@ -61,9 +58,7 @@ def machine(monkeypatch, versions):
     )
     for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
         monkeypatch.setitem(sys.modules, name, module)
-    warp_device.start_warp.cache_clear()
-    yield SimpleNamespace(warp=warp, cupy=cupy)
-    warp_device.start_warp.cache_clear()
+    return SimpleNamespace(warp=warp, cupy=cupy)
 
 
 @pytest.mark.parametrize(
@@ -115,15 +110,14 @@ def fails(text):
     return {"zeros": zeros}
 
 
-NO_DRIVER = b"Warp CUDA warning: Could not find the NVIDIA CUDA driver.\n"
 OLD_CUPY = "cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version"
 
 
 @pytest.mark.parametrize(
     ("warp", "cupy", "message"),
     [
-        ({"get_cuda_device_count": lambda: 0, "init": lambda: os.write(2, NO_DRIVER)}, {},
-         r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."),
+        ({"get_cuda_device_count": lambda: 0}, {},
+         r"needs an NVIDIA GPU .*Warp found none\. .*Use --device cpu\."),
         ({"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)}, {},
          r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the"),
         ({"get_cuda_driver_version": lambda: (12, 8)}, fails(OLD_CUPY),
@@ -151,17 +145,3 @@ def test_a_card_that_cannot_be_used_is_a_clear_error(machine, warp, cupy, messag
 )
 def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
     assert is_out_of_memory(error) is expected
-
-
-@pytest.mark.parametrize("fails", [False, True])
-def test_messages_of_warps_native_code_alone_are_kept(machine, capfd, fails):
-    def init():
-        os.write(2, NO_DRIVER + b"somebody else\n")
-        if fails:
-            raise RuntimeError("no")
-
-    machine.warp.init = init
-    with pytest.raises(RuntimeError, match="no") if fails else nullcontext():
-        load_warp()
-    os.write(2, b"after\n")
-    assert capfd.readouterr() == ("", "somebody else\nafter\n")
