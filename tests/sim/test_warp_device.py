@@ -1,5 +1,6 @@
 """Warp devices with a stand-in for Warp: a GPU, driver or package that is missing or too old is a clear error."""
 
+import os
 import sys
 import warnings
 from importlib import metadata
@@ -145,3 +146,11 @@ def test_a_card_that_cannot_be_used_is_a_clear_error(machine, warp, cupy, messag
 )
 def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
     assert is_out_of_memory(error) is expected
+
+
+def test_what_warps_native_code_says_without_a_gpu_is_not_shown(machine, capfd):
+    warnings_left = [b"Warp CUDA warning: no driver\n"]  # Warp starts once
+    machine.warp.init = lambda: warnings_left and os.write(2, warnings_left.pop())
+    load_warp()
+    os.write(2, b"after\n")
+    assert capfd.readouterr() == ("", "after\n")

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import gc
+import os
 import warnings
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from importlib import metadata
+from pathlib import Path
 from time import perf_counter
 from types import ModuleType
 from typing import Any
@@ -26,7 +28,7 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
     """Return the modules `warp` and `mujoco_warp`, initialised.
 
     Warp's messages on stdout about itself and the kernels that it compiles are turned off, unless the caller has set a
-    log level.
+    log level. So is what its native code writes to stderr without a GPU: the error that `WarpDevice` raises says it.
     """
     _check_versions()
     try:
@@ -40,6 +42,14 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
             f"mujoco-warp cannot be imported ({error}). Install it: pip install 'shes[gpu]', or 'shes[warp]' for "
             "--device warp-cpu alone."
         ) from error
+    with Path(os.devnull).open("w") as nowhere, suppress(OSError):  # stderr may be closed
+        stderr = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            warp.init()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
     warp.init()
     return warp, mujoco_warp
 
