@@ -41,7 +41,6 @@ class ExternalTask(EpisodeBatch):
     """
 
     Options = TaskOptions
-    draws_itself = True
     control_limit = 1.0
     # The contract's read-only properties.
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))

@@ -12,8 +12,8 @@ from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
 from shes.errors import ConfigError, ShesError, UnknownNameError
-from shes.options import check_options
-from shes.registry import Registry, check_class
+from shes.options import subclass_of
+from shes.registry import Registry
 from shes.settings import Settings
 from shes.sim.simulator import CpuSimulator
 from shes.types import Listing, Table, is_whole
@@ -58,10 +58,8 @@ EnvironmentMaker: TypeAlias = Environment | ExternalEnvironment
 
 
 def _check_environment(_kind: str, environment: Environment) -> None:
-    check_class("body", environment.body, Body)
-    check_class("task", environment.task, Task, num_arguments=4)
-    check_options(environment.body)
-    check_options(environment.task)
+    subclass_of(Body)("body", environment.body)
+    subclass_of(Task, 4)("task", environment.task)
 
 
 ENVIRONMENTS: Registry[Environment] = Registry(
