@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.robot import Robot, RobotOptions
+from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
@@ -243,12 +244,11 @@ def list_environments(
         options = RobotOptions(robot=robot, motors=motors, control_step=control_step, robot_keyframe=robot_keyframe)
         facts = Robot(options).describe()
         return Listing(facts, [f"{name}: {text}" for name, text in facts.items()])
-    rows = [_describe(name, environment) for name, environment in ENVIRONMENTS.items()]
-    rows += map(_describe_external, EXTERNAL_ENVIRONMENTS.values())
-    shown: list[tuple[str, ...]] = []
-    for row in rows:
-        sizes = [*row["observation"].values(), "", ""]
-        shown.append((row["name"], row["task"], str(sizes[0]), str(sizes[1]), str(row["action"] or "")))
+    rows = [_describe(*named) for named in (*ENVIRONMENTS.items(), *EXTERNAL_ENVIRONMENTS.items())]
+    shown = [
+        (row["name"], row["task"], *map(str, [*row["observation"].values(), "", ""][:2]), str(row["action"] or ""))
+        for row in rows
+    ]
     tasks = {(row["task"], row["score"]): (row["task"], row["reward"], row["ends"], row["score"]) for row in rows}
     parts = (
         Table(("environment", "task", "observation", "hiro", "action"), shown),
@@ -259,39 +259,27 @@ def list_environments(
     return Listing(rows, parts)
 
 
-def _describe(name: str, environment: Environment) -> dict[str, Any]:
-    task, text = environment.task, environment.task.description
-    sizes = {spec: make_task(name, 1, TaskOptions(spec=spec)) for spec in task.specs}
+def _describe(name: str, environment: EnvironmentMaker) -> dict[str, Any]:
+    """Return the description of an environment, without sizes if it is an external one that cannot be made."""
+    made: dict[str, EpisodeBatch] = {}
+    if isinstance(environment, Environment):
+        task, text = environment.task, environment.task.description
+        made |= {spec: environment.make(1, TaskOptions(spec=spec)) for spec in task.specs}
+        ids, words = [gymnasium_id(name, spec) for spec in task.specs], (task.name, text.reward, text.ends, text.score)
+        about = " ".join((task.__doc__ or "").split("\n\n", maxsplit=1)[0].split())
+    else:
+        ids = [environment.source if isinstance(environment.source, str) else "made by a function"]
+        words = ("external", "its own", "by its own rule", "success" if environment.is_scored_by_success else "return")
+        about = f"Gymnasium's {ids[0]}"
+        try:
+            made["external"] = environment.make(1)
+        except ShesError as error:
+            about = str(error)
     return {
         "name": name,
-        "task": task.name,
-        "gymnasium": [gymnasium_id(name, spec) for spec in task.specs],
-        "observation": {spec: each.observation_size for spec, each in sizes.items()},
-        "action": sizes[task.specs[0]].action_size,
-        "reward": text.reward,
-        "ends": text.ends,
-        "score": text.score,
-        "about": " ".join((task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
-    }
-
-
-def _describe_external(environment: ExternalEnvironment) -> dict[str, Any]:
-    """Return the description of an external environment, without dimensions if it cannot be made."""
-    env_id = environment.source if isinstance(environment.source, str) else "made by a function"
-    about, sizes, action = f"Gymnasium's {env_id}", {}, None
-    try:
-        task = environment.make(1)
-        sizes, action = {"external": task.observation_size}, task.action_size
-    except ShesError as error:
-        about = str(error)
-    return {
-        "name": environment.name,
-        "task": "external",
-        "gymnasium": [env_id],
-        "observation": sizes,
-        "action": action,
-        "reward": "its own",
-        "ends": "by its own rule",
-        "score": "success" if environment.is_scored_by_success else "return",
+        "gymnasium": ids,
+        "observation": {spec: each.observation_size for spec, each in made.items()},
+        "action": next((each.action_size for each in made.values()), None),
+        **dict(zip(("task", "reward", "ends", "score"), words, strict=True)),
         "about": about,
     }

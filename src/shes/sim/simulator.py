@@ -105,9 +105,7 @@ class CpuSimulator(Simulator):
         self.xp = np
         self._batch = Batch(model, num_sims, nthread=num_threads)
         self._batch.reset()
-        self.qpos = self._batch.bind("qpos")
-        self.qvel = self._batch.bind("qvel")
-        self.ctrl = self._batch.bind("ctrl")
+        self.qpos, self.qvel, self.ctrl = map(self._batch.bind, ("qpos", "qvel", "ctrl"))
         self._default = self._batch.state[0].copy()
         warmstart, time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
         self.state_parts = (self.qpos, self.qvel, warmstart, time.reshape(num_sims, 1))

@@ -30,7 +30,6 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
     Warp's messages on stdout about itself and the kernels that it compiles are turned off, unless the caller has set a
     log level. So is what its native code writes to stderr without a GPU: the error that `WarpDevice` raises says it.
     """
-    _check_versions()
     try:
         import warp
 
@@ -52,25 +51,6 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
             os.close(stderr)
     warp.init()
     return warp, mujoco_warp
-
-
-def _check_versions() -> None:
-    """Raise a ConfigError if mujoco-warp or this package needs another version of a package."""
-    from packaging.requirements import Requirement
-
-    for package in ("shes", "mujoco-warp"):
-        with suppress(metadata.PackageNotFoundError):  # one that is not installed is told by its import
-            for each in map(Requirement, metadata.requires(package) or ()):
-                if each.name not in ("mujoco", *_PACKAGES) or (
-                    each.marker and not each.marker.evaluate({"extra": "warp"})
-                ):
-                    continue
-                version = metadata.version(each.name)
-                if not each.specifier.contains(version, prereleases=True):
-                    raise ConfigError(
-                        f"{package} needs {each.name}{each.specifier}, got {version}. Install compatible versions: "
-                        "pip install 'shes[gpu]', or 'shes[warp]' for --device warp-cpu alone."
-                    )
 
 
 def is_out_of_memory(error: BaseException) -> bool:

@@ -140,7 +140,6 @@ class Flagrun(Task):
         np.sqrt(self._distance, out=self._distance)
 
     def _draw_offset(self, rng: Any) -> tuple[float, float]:
-        """Draw a goal, relative to the robot."""
         half_width = self.options.goal_distance
         while True:
             x, y = rng.uniform(-half_width, half_width, 2).tolist()
