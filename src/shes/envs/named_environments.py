@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
+
+import gymnasium
 
 from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.robot import Robot, RobotOptions
 from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.external_reader import Locate
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
@@ -18,11 +21,6 @@ from shes.registry import Registry
 from shes.settings import Settings
 from shes.sim.simulator import CpuSimulator
 from shes.types import Listing, Table, is_whole
-
-if TYPE_CHECKING:
-    import gymnasium
-
-    from shes.envs.external_reader import Locate
 
 GYMNASIUM = "gymnasium:"
 """Prefix of an environment name that is followed by a Gymnasium id."""
@@ -78,10 +76,7 @@ ENVIRONMENTS: Registry[Environment] = Registry(
 """Every environment that is a body and a task, by name."""
 
 
-ROBOT_ENVIRONMENTS: dict[str, Environment] = {
-    task.rpartition(":")[2].lower(): Environment(Robot, resolve_name(f"shes.envs.tasks.{task}"))
-    for _, task in BUILTIN_ENVIRONMENTS.values()
-}
+ROBOT_ENVIRONMENTS = {name.partition("-")[2]: Environment(Robot, each.task) for name, each in ENVIRONMENTS.items()}
 """The tasks by name, for a robot from a file, which the setting `robot` names."""
 
 
@@ -191,20 +186,15 @@ def find_environment(name: str) -> EnvironmentMaker:
     """Return environment `name`: registered, or `gymnasium:` and an id, which is not looked up yet."""
     if name.startswith(GYMNASIUM):
         return ExternalEnvironment(name=name, source=name.removeprefix(GYMNASIUM))
-    if name in EXTERNAL_ENVIRONMENTS:
-        return EXTERNAL_ENVIRONMENTS[name]
-    if name in ROBOT_ENVIRONMENTS:
-        return ROBOT_ENVIRONMENTS[name]
-    if name not in ENVIRONMENTS:
-        _refuse_id(name)
-        raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)
-    return ENVIRONMENTS[name]
+    for known in (EXTERNAL_ENVIRONMENTS, ROBOT_ENVIRONMENTS, ENVIRONMENTS):
+        if name in known:
+            return known[name]
+    _refuse_id(name)
+    raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)
 
 
 def _refuse_id(name: str) -> None:
     """Raise a ConfigError if `name` is a Gymnasium id, in any case, with or without its version."""
-    import gymnasium
-
     ids: dict[str, str] = {}
     for env_id in gymnasium.registry:  # the latest version comes last
         ids |= {env_id.casefold(): env_id, env_id.casefold().rpartition("-v")[0]: env_id}

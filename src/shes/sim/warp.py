@@ -106,7 +106,6 @@ class WarpSimulator(Simulator):
         self.reset(np.arange(num_sims))
 
     def _allocate(self) -> None:
-        """Allocate model and state on the device."""
         wp, view = self._warp, self._device.view
         try:
             self._model: Any = self._mujoco_warp.put_model(self.model)
