@@ -20,7 +20,7 @@ import numpy as np
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.mlp import RectifiedMLP
-from shes.algorithms.contract import Algorithm, Preset, Problem, Report
+from shes.algorithms.contract import Algorithm, Preset, Problem, Report, check_arrays
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
 from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings
@@ -179,7 +179,9 @@ class TD3(Algorithm[TD3State]):
         return counts | {f"{name}/{key}": array for name, own in levels for key, array in own.to_arrays().items()}
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TD3State:
-        """Return the state that `to_arrays` converted."""
+        """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
+        blank = tuple(level.start(np.random.default_rng(0)) for level in self.levels)
+        check_arrays(arrays, self.to_arrays(TD3State(seed=0, generation=0, env_steps=0, learners=blank)))
         learners = tuple(level.from_arrays(within(level.name, arrays)) for level in self.levels)
         return TD3State(**{name: int(arrays[name]) for name in _COUNTS}, learners=learners)
 

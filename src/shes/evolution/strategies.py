@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.agents.agent import AgentDesign
-from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report
+from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report, check_arrays
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
 from shes.evolution.algorithm import GenerationReport, evolve
@@ -28,7 +28,7 @@ from shes.evolution.hyperparameters import (
     steps_per_generation,
     warnings,
 )
-from shes.evolution.state import TrainState, from_arrays, to_arrays
+from shes.evolution.state import TrainState, arrays_like, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
@@ -83,7 +83,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
         """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
-        return from_arrays(arrays, self.start(0))
+        check_arrays(arrays, arrays_like(arrays, self.start(0)))
+        return from_arrays(arrays)
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the mean policies."""
