@@ -16,18 +16,11 @@ from shes.agents.agent import AgentDesign
 from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report, check_arrays
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
+from shes.evolution import hyperparameters
 from shes.evolution.algorithm import GenerationReport, evolve
 from shes.evolution.designs import PRIMITIVE_TRANSFER, SHES_TRANSFERS, branch_design, flat_design, goal_design
 from shes.evolution.estimates import Population
 from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_PRESETS, SES_SECTIONS, SHES_PRESETS, SHES_SECTIONS
-from shes.evolution.hyperparameters import (
-    check_effects,
-    check_together,
-    make_hyperparameters,
-    population,
-    steps_per_generation,
-    warnings,
-)
 from shes.evolution.state import TrainState, arrays_like, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
@@ -43,16 +36,16 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     make_design: ClassVar[Callable[[Problem], AgentDesign]]
     """Returns the design of its agents."""
 
-    check = staticmethod(check_together)
-    check_effects = staticmethod(check_effects)
-    steps_per_generation = staticmethod(steps_per_generation)
-    population = staticmethod(population)
-    warnings = staticmethod(warnings)
+    check = staticmethod(hyperparameters.check_together)
+    check_effects = staticmethod(hyperparameters.check_effects)
+    steps_per_generation = staticmethod(hyperparameters.steps_per_generation)
+    population = staticmethod(hyperparameters.population)
+    warnings = staticmethod(hyperparameters.warnings)
 
     def __init__(self, problem: Problem) -> None:
         """Create design and hyperparameters; raise ConfigError if the settings do not fit the environment."""
         super().__init__(problem, type(self).make_design(problem))
-        self.hyperparameters = make_hyperparameters(problem)
+        self.hyperparameters = hyperparameters.make_hyperparameters(problem)
 
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""

@@ -299,15 +299,14 @@ class Rollout:
         return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:
-        """Raise PolicyError for the member whose policy returned NaN or infinity."""
-        rows = np.flatnonzero(~np.isfinite(to_host(action)).all(axis=1))
-        for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows last
-            lane = self._lanes[row // self.rows_per_lane]
-            if lane is None:
-                continue
+        """Raise PolicyError for a member whose policy returned NaN or infinity, unless its episode has ended."""
+        rows = np.flatnonzero(self._is_running & ~np.isfinite(to_host(action)).all(axis=1))
+        for row in rows.tolist():
             place, slot = divmod(row, self.rows_per_lane)
-            seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
+            lane = self._lanes[place]
+            assert lane is not None
             levels = zip(self.design.level_names, self.agent.levels, strict=True)
+            seed = lane.task.seeds[lane.task.slots.index(slot)]
             which = " and ".join(name for name, level in levels if not level.is_finite(place))
             member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
             raise PolicyError(
