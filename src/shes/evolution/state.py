@@ -94,12 +94,8 @@ class Archive:
     ) -> Archive:
         """Return the archive with places where walkers are: new cells, cells reached in fewer steps, and the way.
 
-        Args:
-            cells: Cells [M, K].
-            states: Physics states [M, S].
-            steps: Control steps since the reset [M].
-            nodes: Nodes [M].
-            is_success: Whether the task is solved there [M].
+        Of each of M walkers, the `cells` [M, K], physics `states` [M, S], control `steps` since the reset, `nodes`, and
+        whether the task is solved there are given.
         """
         found, cell = np.unique(np.concatenate([self.cells, cells]), axis=0, return_inverse=True)
         cell, all_steps = cell.reshape(-1), np.concatenate([self.steps, steps])

@@ -61,13 +61,11 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Yield a report after every generation from `state` on, indefinitely."""
         table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MAX_THREADS)
         with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
-            before = state.archive
             for report in evolve(state, self.hyperparameters, table, backend, pool):
-                archive = report.state.archive
+                before, archive, state = state.archive, report.state.archive, report.state
                 log = [line for each in report.populations for line in each.results.log]
                 if archive is not None and before is not None:
                     log += archive.news(before)
-                before = archive
                 yield Report(state=report.state, columns=columns(report), log=log)
 
     def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:

@@ -250,11 +250,10 @@ class Rollout:
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
                 policy.pool(mine.total[k], mine.total_squares[k])
-            if lane.task.kept_slot == slot:
-                has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
-                if not has_ended_early:
-                    steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
-                    results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
+            has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
+            if lane.task.kept_slot == slot and not has_ended_early:
+                steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
+                results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
             if self._recorder is not None:
                 results.snapshots[k] = self._recorder.of(row)
             lane.running.discard(k)
