@@ -21,7 +21,6 @@ import numpy as np
 
 from shes.agents.mlp import MLP
 from shes.baselines.learner_settings import LearnerSettings
-from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.types import F32Array, F64Array
 
@@ -93,10 +92,7 @@ class Replay:
 
         The division depends on the number of transitions alone, so that it is the same after a resume.
         """
-        if not self.size:
-            nothing = {name: np.empty((0, *shape), np.float32) for name, shape in self.shapes.items()}
-            return nothing, nothing
-        ring = self._intact()
+        ring = self._intact() if self.size else _Ring(self.shapes, 1, 0)
         first = (self.end - self.size) % ring.length
         count = min(self.size, ring.length - first)
         blocks = slice(first, first + count), slice(self.size - count)
@@ -179,11 +175,6 @@ class LearnerState:
     statistics: ObservationStatistics
     """Statistics of the inputs; empty if they are not normalised."""
     replay: Replay
-
-    @property
-    def parameters(self) -> LevelParameters:
-        """Parameters and normalisation of the actor, for an agent."""
-        return LevelParameters.of(flat(self.learner["actor"]), self.statistics)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the state as arrays by name."""

@@ -24,7 +24,7 @@ from shes.algorithms.contract import Algorithm, Preset, Problem, Report, check_a
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
 from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings
-from shes.baselines.levels import LearnerState, Level, Replay, within
+from shes.baselines.levels import LearnerState, Level, Replay, flat, within
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
@@ -187,7 +187,7 @@ class TD3(Algorithm[TD3State]):
 
     def parameters(self, state: TD3State) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the actors."""
-        return tuple(level.parameters for level in state.learners)
+        return tuple(LevelParameters.of(flat(level.learner["actor"]), level.statistics) for level in state.learners)
 
     def without_training(self, state: TD3State) -> TD3State:
         """Return `state` with empty replay buffers."""

@@ -118,15 +118,12 @@ class Rollout:
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
         self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
-        self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * rows_per_lane
         self._exploration = Exploration(self.agent, horizon, self.batch.action_size)
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
-        self._running: IntArray = np.zeros(0, dtype=np.int64)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
         self._intrinsic_return: F64Array = self.xp.zeros(rows)
         self._seconds: F64Array = np.zeros(len(PARTS))
-        self._recorder: SnapshotRecorder | None = None
 
     def run(
         self,
@@ -145,9 +142,9 @@ class Rollout:
         num_goals = generation.snapshot_goals
         self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
         self.agent.centre_on(generation.levels)
-        self._lanes = [None] * self.num_lanes
+        self._lanes: list[_Lane | None] = [None] * self.num_lanes
         self._is_running[:] = False
-        self._running = np.flatnonzero(self._is_running)
+        self._running: IntArray = np.flatnonzero(self._is_running)
         means = [self.xp.asarray(level.theta) for level in generation.levels]
         while True:
             free = [place for place, lane in enumerate(self._lanes) if lane is None]
