@@ -138,9 +138,7 @@ class Level:
     replay: Replay
     """Its buffer before the first transition."""
     update_interval: int = 1
-    """Environment steps after which the level learns again."""
-    updates: int = 1
-    """Number of updates then."""
+    """Environment steps after which the level learns again: the acting level as many times, the controller once."""
 
     def start(self, rng: np.random.Generator) -> LearnerState:
         """Return the state before the first transition. The action is an input of every hidden layer of a critic."""

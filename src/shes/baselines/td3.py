@@ -82,7 +82,7 @@ class TD3(Algorithm[TD3State]):
         own, actions = self.settings, self.design.policies[-1].sizes[-1]
         limits = (self.design.control_limit,) * actions
         level = self.make_level(self.level_names[-1], limits, own.exploration_noise, action=(actions,))
-        return (replace(level, update_interval=own.update_interval, updates=own.update_interval),)
+        return (replace(level, update_interval=own.update_interval),)
 
     def make_level(self, name: str, half_range: tuple[float, ...], noise: float, **shapes: tuple[int, ...]) -> Level:
         """Return a level whose transitions have arrays of these `shapes` in addition to those of every level."""
@@ -170,7 +170,7 @@ class TD3(Algorithm[TD3State]):
         """Yield the level and the number of the updates that are due for the environment steps `before` to `now`."""
         for level in reversed(self.levels):
             for _ in range(now // level.update_interval - before // level.update_interval):
-                yield level.name, level.updates
+                yield level.name, level.update_interval if level is self.levels[-1] else 1
 
     def to_arrays(self, state: TD3State) -> dict[str, np.ndarray]:
         """Return `state` as named arrays. Those of the replay buffers are views."""

@@ -37,7 +37,7 @@ class SnapshotRecorder:
         self._batch, self._agent, self._num_goals = batch, agent, num_goals
         self._interval = agent.design.controller_interval
         rows = batch.num_episodes
-        self._wanted: IntArray = np.full(rows, -1)  # steps after which to record each row; -1 for never
+        self._wanted: IntArray = np.full(rows, -1)  # steps after which to record each row
         self._recorded: IntArray = np.zeros(rows, dtype=np.int64)  # goals recorded so far
         self._goals: F64Array = np.zeros((rows, num_goals, 2))
         self._states: dict[int, F64Array] = {}
@@ -45,8 +45,7 @@ class SnapshotRecorder:
     def begin(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
         """Store when to record the episodes of tasks that have `started`, by lane."""
         for lane, (_, task) in started.items():
-            wanted = task.snapshot_steps or (-1,) * len(task.slots)
-            for slot, steps in zip(task.slots, wanted, strict=True):
+            for slot, steps in zip(task.slots, task.snapshot_steps, strict=True):
                 row = lane * self._agent.rows_per_lane + slot
                 self._wanted[row], self._recorded[row] = steps, 0
 
