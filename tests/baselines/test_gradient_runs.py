@@ -133,9 +133,9 @@ def test_a_checkpoint_of_another_run_is_refused(untrained):
     path = untrained("td3", "point-maze")
     file = path / "checkpoints" / "last.npz"
     arrays = dict(np.load(file))
-    for name, fault in (("actor", "policy/actor is"), ("replay/older/reward", "of a replay buffer is")):
+    for name in ("actor", "replay/older/inputs"):
         np.savez(file, **{**arrays, f"policy/{name}": np.zeros((2, 2), np.float32)})
-        with pytest.raises(CheckpointError, match=rf"last\.npz (.|\n)*{fault} float32 of shape"):
+        with pytest.raises(CheckpointError, match=rf"last\.npz holds policy/{name} as float32 of shape \(2, 2\), where"):
             open_run(path, "last")
 
 

@@ -30,21 +30,17 @@ class Exploration:
             np.zeros((steps, agent.num_lanes, agent.rows_per_lane, size), np.float32) for steps, size in shapes
         ]
         self._decision_noise, self._control_noise = self._drawn  # on a device, copies
-        self.is_on = False
-        """Whether anything is added in this generation."""
-        self._decisions: Decisions | None = None
-        self._has_control_noise = False
 
     def begin(self, generation: Generation) -> None:
         """Start a generation. Evaluations and branches have no exploration noise."""
         explores = generation.kind == "training"
-        self._decisions = generation.decisions
-        self.is_on = explores or self._decisions is not None
+        self._decisions: Decisions | None = generation.decisions
+        self._is_on = explores or self._decisions is not None
         self._has_control_noise = explores and not generation.has_frozen_control
 
     def draw(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
         """Draw the noise, and decisions if they are given, of tasks that have `started`, by lane, from their seeds."""
-        if not self.is_on:
+        if not self._is_on:
             return
         for lane, (_, task) in started.items():
             for slot, seed in zip(task.slots, task.seeds, strict=True):
@@ -71,7 +67,7 @@ class Exploration:
 
     def of_step(self) -> dict[str, F32Array]:
         """Return the noise of this step by argument of `act`; empty if the noise is off."""
-        if not self.is_on:
+        if not self._is_on:
             return {}
         design, steps = self._agent.design, np.minimum(self._agent.clock, self._horizon - 1)
         # All lanes are usually at the same step. The noise is a view then.
