@@ -28,7 +28,14 @@ PRINTS = {
     "own_reward": r"after: primitive return [3-9]\d\.\d per episode",
 }
 """Last line that each example prints, which shows that it works and learns."""
-SMALL = {"generations": 1, "population_size": 4, "noise_table_size": 1_000_000, "horizon": 50, "evaluation_horizon": 50, "backend": "serial"}
+SMALL = {
+    "generations": 1,
+    "population_size": 4,
+    "noise_table_size": 1_000_000,
+    "horizon": 50,
+    "evaluation_horizon": 50,
+    "backend": "serial",
+}
 """Settings of a run whose policy an example drives."""
 STAND_INS = Path(__file__).parent / "stand_ins"
 """Modules for optional packages that examples need, whether they are installed or not."""

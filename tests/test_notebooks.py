@@ -7,9 +7,14 @@ from pathlib import Path
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
-SHORTER = {"GENERATIONS": "2", "GENERATIONS, SEEDS": "2, (1, 2)", "STEPS": "4"}
+HEXAPOD = NOTEBOOKS[0].parents[1] / "hexapod.xml"
+SHORTER = {"GENERATIONS": "2", "GENERATIONS, SEEDS": "2, (1, 2)", "STEPS": "4", "ROBOT": repr(str(HEXAPOD))}
 """Values that a test sets instead of those of a notebook."""
-SHOWS = {"walk": ["text/html", "image/png", "text/html"], "change_one_thing": ["text/html", "image/png"]}
+SHOWS = {
+    "walk": ["text/html", "image/png", "text/html"],
+    "change_one_thing": ["text/html", "image/png"],
+    "my_robot": ["image/png", "text/html"],
+}
 """Progress, figures and video that each displays, in order; repetitions left out."""
 
 
