@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection
+import operator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 
 @dataclass(frozen=True)
@@ -13,29 +13,40 @@ class Bound:
     """A bound of the value, or of each item of a tuple."""
 
     bound: float
+    words: ClassVar[str]
+    allows: ClassVar[Callable[[Any, Any], bool]]
+    """Whether a value, given first, keeps within the bound."""
 
 
 class Gt(Bound):
     """The value is greater than `bound`."""
 
+    words, allows = "greater than", operator.gt
+
 
 class Ge(Bound):
     """The value is at least `bound`."""
+
+    words, allows = "of at least", operator.ge
 
 
 class Lt(Bound):
     """The value is less than `bound`."""
 
+    words, allows = "less than", operator.lt
+
 
 class Le(Bound):
     """The value is at most `bound`."""
+
+    words, allows = "at most", operator.le
 
 
 @dataclass(frozen=True, eq=False)
 class Choices:
     """The value is one of these names. They are looked up at every check, because a registry may grow."""
 
-    names: Collection[str]
+    names: Iterable[str]
     fix: str = ""
     """How to add a name, for the error message."""
     is_described: bool = False
@@ -86,24 +97,3 @@ class Needs:
 
     other: str
     values: tuple[str, ...] = ()
-
-
-def range_in_words(kind: Any, notes: tuple[Any, ...], *, is_many: bool = False) -> str:
-    """Return the allowed numbers in words: `a whole number of at least 1`, `more than 0 and less than 1`."""
-    noun = ("whole numbers" if is_many else "a whole number") if kind is int else ("numbers" if is_many else "a number")
-    low = next((note for note in notes if isinstance(note, Gt | Ge)), None)
-    high = next((note for note in notes if isinstance(note, Lt | Le)), None)
-    if low is None:
-        return noun
-    if high is None:
-        if is_many:
-            return f"positive {noun}"
-        if kind is float and low.bound == 0:
-            return "a positive number" if isinstance(low, Gt) else "zero or a positive number"
-        return f"{noun} {'greater than' if isinstance(low, Gt) else 'of at least'} {low.bound:g}"
-    noun = noun if kind is int or is_many else ""
-    if isinstance(low, Ge) and isinstance(high, Le):
-        return f"{noun} between {low.bound:g} and {high.bound:g}".strip()
-    last = f"2**{math.log2(high.bound):g}" if high.bound >= 2**53 else f"{high.bound:g}"
-    first = "more than" if isinstance(low, Gt) else "of at least" if noun else "at least"
-    return f"{noun} {first} {low.bound:g} and {'less than' if isinstance(high, Lt) else 'at most'} {last}".strip()

@@ -1,4 +1,4 @@
-"""Options: settings that a registered class brings, such as how ranks treat ties.
+"""Options: settings that a registered class brings, such as the waypoints of a task.
 
 A class that is nothing but its values, such as a reward, is itself a `Settings` dataclass. A class whose objects have a
 state, such as a task, a body or a backend, has an attribute `Options` that is one. Registering the class is enough: its
@@ -18,8 +18,8 @@ from shes.settings import Choices, Needs, Setting, Settings, Unasked, registered
 T = TypeVar("T")
 
 TAKEN = frozenset({
-    "debug", "env", "help", "help_all", "import", "json", "listener", "out", "path", "preset", "progress", "run",
-    "seed", "settings", "sweep", "workers",
+    "debug", "env", "help", "help_all", "import", "json", "like", "listener", "out", "path", "preset", "progress",
+    "run", "seed", "settings", "sweep", "workers",
 })  # fmt: skip
 """Names that an option cannot have: arguments of `shes.train` and `shes.resume`, and flags of their commands."""
 

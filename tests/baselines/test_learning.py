@@ -21,9 +21,8 @@ pytestmark = pytest.mark.hiro
 
 INPUTS, ACTIONS, BATCH = 5, 2, 16
 HALF_RANGE = (2.0, 0.5)
-OWN = LearnerSettings(
-    actor_learning_rate=0.01, critic_learning_rate=0.02, target_rate=0.1, batch_size=BATCH, discount=0.9
-)
+RATES = {"actor_learning_rate": 0.01, "critic_learning_rate": 0.02, "target_rate": 0.1}
+OWN = LearnerSettings(**RATES, batch_size=BATCH, discount=0.9)
 VARIANTS = {
     "as HIRO's code": (OWN, (7, 6)),
     "raw noise": (replace(OWN, noise_unit="raw"), (7, 6)),
@@ -95,11 +94,8 @@ def test_updates_are_those_of_the_reference(variant):
 
 def test_networks_start_as_in_the_published_code():
     learner = level_of(hidden=(50, 40)).start(np.random.default_rng(0)).learner
-    assert [weights.shape for weights, _ in learner["critics"]] == [
-        (2, INPUTS + ACTIONS, 50),
-        (2, 50 + ACTIONS, 40),
-        (2, 40, 1),
-    ]
+    shapes = [weights.shape for weights, _ in learner["critics"]]
+    assert shapes == [(2, INPUTS + ACTIONS, 50), (2, 50 + ACTIONS, 40), (2, 40, 1)]
     for name, fans in (("actor", (INPUTS, 50)), ("critics", (INPUTS + ACTIONS, 50 + ACTIONS))):
         *hidden, last = learner[name]
         for (weights, biases), fan_in in zip(hidden, fans, strict=True):

@@ -28,9 +28,8 @@ def test_the_card_of_a_run_has_scores_of_fresh_episodes(run_copy, monkeypatch, c
     for name in ("trained", "constant", "random"):
         found = shes.evaluate(run_copy, episodes=3, controller=name)
         assert f"| {found.controller} | {found.scores.mean():.2f} ± " in text
-    assert re.search(
-        r"- seed \d+, [\d,]+ environment steps, \d+ generations\n- trained by `.+`\n\n<video .*replay", text
-    )
+    lines = r"- seed \d+, [\d,]+ environment steps, \d+ generations\n- trained by `.+`\n\n<video .*replay"
+    assert re.search(lines, text)
 
 
 @pytest.mark.extras

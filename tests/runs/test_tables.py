@@ -66,7 +66,7 @@ REFUSED = {
         lambda lines: [*lines[:-1], ",".join(lines[-1].split(",")[:3])],
         r"row 3 below the header has 3 values for \d+ columns\.",
     ),
-    "the file": ("evaluation", None, r"is missing, but the run has made 4 generations\. Restore it .*or make an empty"),
+    "the file": ("evaluation", None, r"cannot be read .*No such file .*Restore it .*let it be an empty file"),
     "a column": ("progress", lambda lines: [line + ",1" for line in lines], "not write: 1"),
 }
 

@@ -19,7 +19,7 @@ import numpy as np
 from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
 from shes.agents.mlp import MLP, RectifiedMLP
 from shes.agents.views import ColumnsView
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Problem
 from shes.baselines.collector import Collector, Step, as_float32
 from shes.baselines.learner_settings import GoalSettings
 from shes.baselines.levels import Level, Rows

@@ -20,8 +20,7 @@ import numpy as np
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.mlp import RectifiedMLP
-from shes.algorithms.contract import Algorithm, Preset, Report
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Algorithm, Preset, Problem, Report
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
 from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings

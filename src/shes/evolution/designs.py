@@ -18,8 +18,7 @@ from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, SectorOutput
 from shes.agents.mlp import MLP
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, SectorsView, View, ViewChoice, proprioception
-from shes.algorithms.contract import LevelTransfer
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import LevelTransfer, Problem
 from shes.envs.bodies.body import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError

@@ -12,6 +12,7 @@ from shes.errors import CheckpointError
 from shes.es.level import LevelState, StrategyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
+from shes.rollout.episodes import Snapshot
 from shes.types import BoolArray, F64Array, IntArray
 
 PATIENCE = 5
@@ -164,16 +165,6 @@ class Archive:
         return self.way[1:] if len(self.way) else None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RunningEpisodes:
-    """Episodes that continue from generation to generation, from which pairs of primitives branch off."""
-
-    states: F64Array
-    """Full physics states [G, S], including the solver's warm start."""
-    steps: IntArray
-    """Control steps of each episode so far [G]; -1 if it starts anew and its state is ignored."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class TrainState(StrategyState):
     """State of a run between generations."""
@@ -182,8 +173,8 @@ class TrainState(StrategyState):
     """Number of environment steps of training so far."""
     archive: Archive | None = None
     """State of the search for a way, if enabled."""
-    running: RunningEpisodes | None = None
-    """Episodes that continue in the next generation, if any."""
+    running: tuple[Snapshot | None, ...] | None = None
+    """Episodes that continue in the next generation, from which pairs of primitives branch off; None for a new one."""
 
 
 _COUNTS = ("seed", "generation", "env_steps")
@@ -210,20 +201,23 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
     if state.archive is not None:
         arrays |= {name: getattr(state.archive, field) for name, field in _ARCHIVE.items()}
     if state.running is not None:
-        arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
+        size = next(len(end.state) for end in state.running if end is not None and end.state is not None)
+        states = [np.zeros(size) if end is None else end.state for end in state.running]
+        steps = [-1 if end is None else end.steps for end in state.running]
+        arrays |= {"running/states": states, "running/steps": steps}
     return {name: np.asarray(value) for name, value in arrays.items()}
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
     """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
     _check_arrays(arrays, start)
-    check_finite(arrays)
     running = archive = None
     if "archive/cells" in arrays:
         found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
         archive = Archive(**{field: array if array.ndim else array.item() for field, array in found.items()})
     if "running/states" in arrays:
-        running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
+        ends = zip(arrays["running/states"], arrays["running/steps"].tolist(), strict=True)
+        running = tuple(None if steps < 0 else Snapshot(state=own, steps=steps) for own, steps in ends)
     counts = {name: int(arrays[name]) for name in _COUNTS}
     levels = tuple(_level(arrays, str(name)) for name in arrays["levels"])
     return TrainState(**counts, levels=levels, archive=archive, running=running)
@@ -254,10 +248,5 @@ def _check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
                 f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
                 f"{own.shape}. Put back the checkpoint of this run."
             )
-
-
-def check_finite(arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise CheckpointError if one of `arrays` holds NaN or infinity."""
-    for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")

@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.agents.agent import AgentDesign
-from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Report
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
 from shes.evolution.algorithm import GenerationReport, evolve
@@ -110,7 +109,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul: its episodes per generation."""
-        return self.hyperparameters.episodes_per_policy
+        return self.hyperparameters.evolution.episodes_per_policy
 
     def plan(self) -> WorkerPlan:
         """Return the data that every worker receives once, at its start."""

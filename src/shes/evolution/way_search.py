@@ -67,8 +67,8 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
     mean = LevelParameters.of_all(state.levels[-1:])
-    generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, is_evaluation=False,
-                            branch_steps=search.interval, is_exploration=True)  # fmt: skip
+    walk = {"kind": "exploration", "branch_steps": search.interval}
+    generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, **walk)
     for _ in range(search.slices):
         last_step = archive.env_steps + SLICE_STEPS
         archive, speed = _walk(archive, search, generation, rng, backend)

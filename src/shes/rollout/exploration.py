@@ -37,7 +37,7 @@ class Exploration:
 
     def begin(self, generation: Generation) -> None:
         """Start a generation. Evaluations and branches have no exploration noise."""
-        explores = not generation.is_evaluation and not generation.branch_steps
+        explores = generation.kind == "training"
         self._decisions = generation.decisions
         self.is_on = explores or self._decisions is not None
         self._has_control_noise = explores and not generation.has_frozen_control

@@ -152,7 +152,7 @@ def _frames(group: SymmetryGroup) -> dict[str, Any]:
         tables["view_matrix"] = group.view_matrix
     if group.shifts_clock:
         tables["clock_sign"] = tables["mirror"]
-    frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(group.num_elements)]
+    frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(len(group.view_index))]
     return {"num_turns": group.num_turns, "is_mirrored": group.is_mirrored, "frames": frames}
 
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from shes.errors import ShesError
 from shes.runs.folder import RunFolder
 from shes.runs.model_card import model_card
 from shes.runs.shipped import read_agent, shipped_name, shipped_names
-from shes.runs.tables import read_csv
 from shes.types import Listing, Table, facts_listing
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunState:
-    """The state of a run. Fields that cannot be read are None."""
+    """The state of a run. All but its folder and the problem are None if it is unreadable."""
 
     run: str
     env: str | None = None
@@ -37,28 +35,17 @@ class RunState:
     """Why the run is unreadable."""
 
 
-_FACTS = ("env", "algorithm", "preset", "seed", "generations")
-
-
 def run_state(folder: RunFolder) -> RunState:
     """Return the state of the run in `folder`."""
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
         config, checkpoint = folder.read_config(), folder.load(name, with_state=False)
     except ShesError as error:
-        told: dict[str, Any] = {}
-        faults = (ShesError, KeyError, TypeError, AttributeError, ValueError, OverflowError)
-        with suppress(*faults):
-            told = {each: folder.read_record()["config"]["run"].get(each) for each in _FACTS}
-        with suppress(*faults):  # by its tables
-            progress = read_csv(folder.progress)
-            told |= {each: int(progress[each][-1]) for each in ("generation", "env_steps")}
-            told["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
-        return RunState(run=str(folder.path), **told, problem=str(error))
+        return RunState(run=str(folder.path), problem=str(error))
     is_over = config.run.is_over(checkpoint.generation, checkpoint.env_steps) or name == "best"
     return RunState(
         run=str(folder.path),
-        **{each: getattr(config.run, each) for each in _FACTS},
+        **{each: getattr(config.run, each) for each in ("env", "algorithm", "preset", "seed", "generations")},
         generation=checkpoint.generation,
         env_steps=checkpoint.env_steps,
         best_score=checkpoint.best.score if checkpoint.best.generation >= 0 else None,
@@ -74,20 +61,16 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     """
     runs = [run_state(each) for each in RunFolder.below(Path(folder))]
     agents = {name: read_agent(name) for name in shipped_names()}
-    parts: list[Table | str] = [f"There is no run below {folder}."]
-    if runs:
-        cells = [
-            (
-                run.run,
-                str(run.env or "-"),
-                " / ".join("-" if each is None else str(each) for each in (run.generation, run.generations)),
-                "-" if run.best_score is None else f"{run.best_score:.2f}",
-                run.state,
-            )
-            for run in runs
-        ]
-        parts = [Table(("run", "environment", "generation", "best score", "state"), cells)]
-    parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
+    parts: list[Table | str] = [] if runs else [f"There is no run below {folder}."]
+    cells = list[tuple[str, ...]]()
+    for run in runs:
+        score = "-" if run.best_score is None else f"{run.best_score:.2f}"
+        if run.problem is None:
+            cells.append((run.run, str(run.env), f"{run.generation} / {run.generations}", score, run.state))
+        else:
+            parts.append(f"{run.run} is unreadable: {run.problem}")
+    if cells:
+        parts.insert(0, Table(("run", "environment", "generation", "best score", "state"), cells))
     if agents:
         rows = list[tuple[str, ...]]()
         for name, agent in agents.items():

@@ -50,7 +50,12 @@ def model_card(folder: RunFolder) -> str:
     """Return the card of the best checkpoint of a run, in Markdown. All controllers are evaluated for it."""
     config, checkpoint, name = folder.read_config(), folder.load("best", with_state=False), shipped_name(folder.path)
     agent = None if name is None else read_agent(name)
-    scores = _evaluations(folder, config.level_names) if agent is None else [each for each in agent.evaluations if each]
+    if agent is None:
+        asked = ("trained", "constant", "random") if "controller" in config.level_names else ("trained",)
+        found = (evaluate(folder.path, episodes=EPISODES, controller=each) for each in asked)
+        scores = [FreshScore.of(each.listing().facts) for each in found]
+    else:
+        scores = [each for each in agent.evaluations if each]
     command = shlex.join(map(str, folder.read_record().get("command", []))) if agent is None else agent.commands[-1]
     rows = [f"| {each.controller or 'none'} | {each.score} | {100 * each.success_rate:.0f} % |" for each in scores]
     title = folder.path.resolve().name
@@ -74,15 +79,3 @@ def model_card(folder: RunFolder) -> str:
 
 def _text(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)
-
-
-def _evaluations(folder: RunFolder, levels: tuple[str, ...]) -> list[FreshScore]:
-    """Return the scores of the trained controller and, if there is one, of the best constant and a random one."""
-    found = [evaluate(folder.path, episodes=EPISODES)]
-    if found[0].controller is not None:
-        found += [evaluate(folder.path, episodes=EPISODES, controller=each) for each in ("constant", "random")]
-    columns = ("episodes", "score_mean", "score_std", "success_rate")
-    return [
-        FreshScore(controller=each.controller or levels[-1], **{name: each.summary()[name] for name in columns})
-        for each in found
-    ]

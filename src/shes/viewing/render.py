@@ -7,20 +7,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from itertools import repeat, zip_longest
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from shes.drawing.make_drawer import make_drawer
-from shes.drawing.renderer import Drawer, Picture
+from shes.drawing.make_drawer import Drawer, make_drawer
+from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
-from shes.runs.folder import RunFolder
 from shes.settings import Ge, Le, Lt, checked, out_of_range
-from shes.viewing.playback import Playback, PlayedStep
+from shes.viewing.playback import Playback
 from shes.viewing.video import FRAMES_PER_SECOND, captioned, check_video_path, write_video
 
 _MOST = 100_000  # steps and episodes; a video of so many steps takes a day
-_HELD_S = 0.7  # time for which the last frame is held
+_HELD_FRAMES = 1 + round(0.7 * FRAMES_PER_SECOND)  # of the last frame
 
 
 @checked
@@ -68,8 +67,6 @@ def render(
     if size % 2:
         raise out_of_range("size", size, "an even number of pixels")
     shown = _shown(runs, checkpoints)
-    for run, *_ in shown:
-        RunFolder.open(run)
     playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     episode_seed = playbacks[0].seed_of(episode)
     with ExitStack() as stack:
@@ -118,35 +115,32 @@ def _frames(
     """Yield the views of an episode, frame by frame; the first view has the caption.
 
     Poses between control steps are interpolated. Where a step is not a whole number of frames, steps differ in their
-    number of frames. The last step has at least one.
+    number of frames. The last step has at least one, which is held.
     """
     frames_per_step = FRAMES_PER_SECOND * playback.task.step_s / speed
-    before: PlayedStep | None = None
+    before: Any = None
     for number, step in enumerate(playback.play(seed)):
-        start = step if before is None else before
+        start = step.pose if before is None else before
         frames = round((number + 1) * frames_per_step) - round(number * frames_per_step)
         frames = max(frames, int(step.is_last))
         for frame in range(1, frames + 1):
-            pose = drawer.between(start.pose, step.pose, frame / frames)
+            pose = drawer.between(start, step.pose, frame / frames)
             views = [drawer.draw(pose, step.markers, camera) for camera in cameras]
-            yield [captioned(views[0], [step.facts, step.inputs]), *views[1:]]
-        before = step
+            shown = [captioned(views[0], [step.facts, step.inputs]), *views[1:]]
+            yield from repeat(shown, _HELD_FRAMES if step.is_last and frame == frames else 1)
+        before = step.pose
         if on_step is not None:
             on_step(number, playback.steps)
 
 
 def _joined(columns: Sequence[Iterator[list[Picture]]]) -> Iterator[Picture]:
-    """Yield the frames of `columns` side by side; a column that has ended keeps its last frame, and so does the video.
+    """Yield the frames of `columns` side by side; a column that has ended keeps its last frame.
 
     The views of a single column are side by side, otherwise above each other.
     """
     shown: list[list[Picture]] = []
-    joined: Picture | None = None
     for frames in zip_longest(*columns):
         shown = [views if views is not None else shown[i] for i, views in enumerate(frames)]
         most = max(map(len, shown))
         padded = [[*views, *[np.zeros_like(views[0])] * (most - len(views))] for views in shown]
-        joined = np.hstack(padded[0]) if len(padded) == 1 else np.hstack([np.vstack(views) for views in padded])
-        yield joined
-    if joined is not None:
-        yield from repeat(joined, round(_HELD_S * FRAMES_PER_SECOND))
+        yield np.hstack(padded[0]) if len(padded) == 1 else np.hstack([np.vstack(views) for views in padded])

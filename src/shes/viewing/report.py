@@ -6,19 +6,19 @@ import base64
 import json
 import logging
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from html import escape
 from itertools import chain
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 
 from shes.errors import ShesError
 from shes.rollout.episodes import PARTS
-from shes.runs.comparison import differing_settings
 from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.listings import run_state
 from shes.runs.make_config import make_config
@@ -41,7 +41,6 @@ from shes.viewing.report_page import page, paragraph, plot, read_plotly, section
 from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
-T = TypeVar("T")
 _MOST_SHOWN = 6
 """Groups that have a map and a video."""
 _VIDEO_STEPS, _VIDEO_PIXELS = 150, 320
@@ -100,14 +99,13 @@ def report(
     found: dict[str, Evaluation] = {}
     for run in read:
         begin_part()
-        asked = {"episodes": episodes, "num_workers": num_workers, "seed": seed}
-        if evaluation := _attempt(run, "evaluation", evaluate, run.folder.path, **asked):
-            found[run.name] = evaluation
+        with _noting(run, "evaluation"):
+            found[run.name] = evaluate(run.folder.path, episodes=episodes, num_workers=num_workers, seed=seed)
     maps = _maps(shown, begin_part, figures, episodes, seed, has_videos=video)
-    returns, *diagnostics = _curves(groups, figures)
-    rest = [_timing(read), _settings(read), _origins(read)]
+    returns, diagnostics = (_curves(title, groups, figures) for title in SECTIONS)
+    rest = [diagnostics, _timing(read), _settings(read), _origins(read)]
     notes = [f"{name} is left out: {error}" for name, error in errors.items()]
-    body = [_runs(groups, notes), _results(groups, found, episodes), returns, maps, *diagnostics, *rest]
+    body = [_runs(groups, notes), _results(groups, found, episodes), returns, maps, *rest]
     envs = dict.fromkeys(run.config.run.env for run in read)
     title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(envs)}"
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
@@ -116,13 +114,13 @@ def report(
     return target
 
 
-def _attempt(run: RunData, what: str, make: Callable[..., T], *args: Any, **settings: Any) -> T | None:
-    """Return what `make` returns; if it cannot, add the reason to the notes of the run and return None."""
+@contextmanager
+def _noting(run: RunData, what: str) -> Iterator[None]:
+    """Add the reason to the notes of the run if there is no `what`."""
     try:
-        return make(*args, **settings)
+        yield
     except ShesError as error:
         run.notes.append(f"There is no {what}: {error}")
-        return None
 
 
 def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes: int) -> str:
@@ -164,20 +162,17 @@ def estimate(values: F64Array) -> str:
     return f"{values.mean():.2f} ± {error:.2f} [{low:.2f}, {high:.2f}]"
 
 
-def _curves(groups: Sequence[Group], figures: dict[str, Figure]) -> list[str]:
-    """Return the `SECTIONS` of curves, each with a figure for each environment."""
-    places: dict[str, list[str]] = {title: [] for title in SECTIONS}
+def _curves(title: str, groups: Sequence[Group], figures: dict[str, Figure]) -> str:
+    """Return the section of curves `title`, with a figure for each environment."""
+    found: list[str] = []
     for env in dict.fromkeys(group.runs[0].config.run.env for group in groups):
         own = [group for group in groups if group.runs[0].config.run.env == env]
-        panels = panels_of([run for group in own for run in group.runs])
-        for title, found in places.items():
-            chosen = [panel for panel in panels if panel.section == title]
-            if chosen:
-                name = f"{title} {env}"
-                figures[name] = curve_figure(chosen, own)
-                found += [f"<h3>{escape(env)}</h3>", plot(name)]
-    hints = {SECTIONS[0]: paragraph(_CURVES_HINT)}
-    return [section(title, hints.get(title, ""), *found) if found else "" for title, found in places.items()]
+        if panels := panels_of([run for group in own for run in group.runs], title):
+            name = f"{title} {env}"
+            figures[name] = curve_figure(panels, own)
+            found += [f"<h3>{escape(env)}</h3>", plot(name)]
+    hint = paragraph(_CURVES_HINT) if found and title == SECTIONS[0] else ""
+    return section(title, hint, *found)
 
 
 def _maps(
@@ -197,15 +192,16 @@ def _maps(
 
     for run in (group.runs[0] for group in groups):
         begin_part()
-        maps = _attempt(run, "map", play_maps, run.folder.path, episodes, seed) or []
-        for title, figure in zip(("", ": search for a way"), maps, strict=False):
-            place = f"map {len(figures)}"
-            figures[place] = figure
-            add(run.name + title, plot(place))
+        with _noting(run, "map"):
+            maps = play_maps(run.folder.path, episodes, seed)
+            for title, figure in zip(("", ": search for a way"), maps, strict=False):
+                place = f"map {len(figures)}"
+                figures[place] = figure
+                add(run.name + title, plot(place))
         if has_videos:
             begin_part()
-            if uri := _attempt(run, "video", _video_uri, run, seed):
-                add(run.name, f'<video controls loop muted playsinline src="{uri}"></video>')
+            with _noting(run, "video"):
+                add(run.name, f'<video controls loop muted playsinline src="{_video_uri(run, seed)}"></video>')
     hint = (
         f"Paths of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of one run of "
         f"each of the first {len(groups)} groups. A dot is the end of a path, a cross a goal. A video is the beginning "
@@ -243,16 +239,14 @@ def _settings(runs: Sequence[RunData]) -> str:
     configs = {run.name: run.config for run in runs}
     for run in runs:
         env, preset, algorithm = run.config.run.env, run.config.run.preset, run.config.run.algorithm
-        if made := _attempt(run, "preset", make_config, env, preset, {"algorithm": algorithm}):
-            configs[f"preset {preset} of {algorithm} for {env}"] = made
-    columns = {
-        name: {each: setting_text(value) for part in config.to_dict().values() for each, value in part.items()}
-        for name, config in configs.items()
-    }
-    missing = dict.fromkeys(chain(*columns.values()), "-")
-    differing = differing_settings([{**missing, **each} for each in columns.values()])
-    rows = [(name, *(each.get(name, "-") for each in columns.values())) for name in differing]
-    return section("Settings that differ", table(("setting", *columns), rows))
+        with _noting(run, "preset"):
+            configs[f"preset {preset} of {algorithm} for {env}"] = make_config(env, preset, {"algorithm": algorithm})
+    columns = [dict(chain(*(part.items() for part in config.to_dict().values()))) for config in configs.values()]
+    rows = [
+        (name, *(setting_text(each[name]) if name in each else "-" for each in columns))
+        for name in dict.fromkeys(chain(*columns))
+    ]
+    return section("Settings that differ", table(("setting", *configs), [row for row in rows if len({*row[1:]}) > 1]))
 
 
 def _runs(groups: Sequence[Group], notes: list[str]) -> str:

@@ -7,8 +7,10 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from subprocess import PIPE
 
 import imageio_ffmpeg
 import numpy as np
@@ -94,42 +96,27 @@ def check_video_path(path: Path) -> str:
 
 def write_video(path: Path, frames: Iterable[Picture]) -> None:
     """Write `frames` (pictures [H, W, 3] of one even size) to `path`, atomically."""
-    ffmpeg = check_video_path(path)
-    with tempfile.TemporaryDirectory(prefix="shes-video-") as folder:
-        file = Path(folder) / f"video{path.suffix.lower()}"
-        failure = _encode(ffmpeg, file, frames)
-        if failure is not None:
-            raise StorageError(
-                f"ffmpeg could not encode {path}; what was there before is untouched. It said: {failure or 'nothing'}. "
-                f"If the temporary folder {Path(folder).parent} is full, set TMPDIR to another one."
-            )
-        with file.open("rb") as source:
-            write_atomically(path, lambda target: shutil.copyfileobj(source, target))
-
-
-def _encode(ffmpeg: str, file: Path, frames: Iterable[Picture]) -> str | None:
-    """Encode `frames` into `file`; return None, or the end of ffmpeg's log if it fails."""
-    stream = iter(frames)
+    ffmpeg, stream = check_video_path(path), iter(frames)
     first = next(stream)
     size = f"{first.shape[1]}x{first.shape[0]}"
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
-    command = [ffmpeg, "-v", "error", "-y", *raw, *_ENCODERS[file.suffix], str(file)]
-    # In its own session, so that Ctrl-C reaches only this process, which then kills ffmpeg.
-    with (
-        tempfile.TemporaryFile() as log,
-        subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, start_new_session=True) as encoder,
-    ):
-        assert encoder.stdin is not None
-        try:
-            for frame in chain([first], stream):
-                encoder.stdin.write(frame.tobytes())
-            encoder.stdin.close()
-        except BrokenPipeError:
-            pass  # it says why in its log
-        except BaseException:
-            encoder.kill()
-            raise
-        if encoder.wait() == 0 and file.exists():
-            return None
-        log.seek(0)
-        return " ".join(log.read().decode(errors="replace").split())[-_SHOWN_LOG:]
+    with tempfile.TemporaryDirectory(prefix="shes-video-") as folder:
+        file = Path(folder) / f"video{path.suffix.lower()}"
+        command = [ffmpeg, "-v", "error", *raw, *_ENCODERS[file.suffix], str(file)]
+        # In its own session, so that Ctrl-C reaches only this process, which then kills ffmpeg.
+        with subprocess.Popen(command, stdin=PIPE, stderr=PIPE, start_new_session=True) as encoder:
+            assert encoder.stdin is not None
+            try:
+                with suppress(BrokenPipeError):  # it says why in its log
+                    for frame in chain([first], stream):
+                        encoder.stdin.write(frame.tobytes())
+                log = encoder.communicate()[1].decode(errors="replace")
+            finally:
+                encoder.kill()  # unless it has ended
+        if encoder.returncode or not file.exists():
+            raise StorageError(
+                f"ffmpeg could not encode {path}; what was there before is untouched. It said: "
+                f"{' '.join(log.split())[-_SHOWN_LOG:] or 'nothing'}. If the temporary folder {Path(folder).parent} is "
+                "full, set TMPDIR to another one."
+            )
+        write_atomically(path, lambda target: target.write(file.read_bytes()))
