@@ -12,7 +12,7 @@ import numpy as np
 
 from shes.agents.agent import AgentBatch
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation, wander
-from shes.streams import EpisodePurpose, episode_stream
+from shes.streams import EpisodePurpose, stream
 from shes.types import F32Array, F64Array
 
 EXPLORATION_STD = 0.01
@@ -44,7 +44,7 @@ class Exploration:
             return
         for lane, (_, task) in started.items():
             for slot, seed in zip(task.slots, task.seeds, strict=True):
-                rng = episode_stream(seed, EpisodePurpose.EXPLORATION_NOISE)
+                rng = stream(seed, EpisodePurpose.EXPLORATION_NOISE)
                 for noise in self._drawn:
                     drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
                     np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
@@ -58,9 +58,9 @@ class Exploration:
         if decisions == "zero":
             return np.zeros((count, design.decision_size))
         if decisions == "random":
-            angles = episode_stream(seed, EpisodePurpose.RANDOM_GOALS).uniform(0, 2 * np.pi, count)
+            angles = stream(seed, EpisodePurpose.RANDOM_GOALS).uniform(0, 2 * np.pi, count)
         elif decisions == "wander":
-            angles = wander(episode_stream(seed, EpisodePurpose.WANDERING), count, 1)[:, 0]
+            angles = wander(stream(seed, EpisodePurpose.WANDERING), count, 1)[:, 0]
         else:
             angles = np.full(count, decisions)
         return design.direction_outputs(angles)
