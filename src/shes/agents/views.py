@@ -236,20 +236,16 @@ def proprioception(task: EpisodeBatch) -> View:
     return ColumnsView(task.proprioception.tolist())
 
 
-def egocentric(task: EpisodeBatch) -> View | str:
+def egocentric(task: EpisodeBatch, others: Sequence[int] = ()) -> View | str:
     """The robot's state in its own frame, without its position."""
-    return _egocentric(task, ())
+    if task.robot is None or not task.robot.egocentric:
+        return "which has no egocentric view"
+    return EgocentricView(task.robot, task.proprioception.tolist(), others)
 
 
 def egocentric_and_others(task: EpisodeBatch) -> View | str:
     """The robot's state in its own frame, then the rest of the observation."""
-    return _egocentric(task, _others(task))
-
-
-def _egocentric(task: EpisodeBatch, others: Sequence[int]) -> View | str:
-    if task.robot is None or not task.robot.egocentric:
-        return "which has no egocentric view"
-    return EgocentricView(task.robot, task.proprioception.tolist(), others)
+    return egocentric(task, _others(task))
 
 
 def sectors(task: EpisodeBatch) -> View | str:

@@ -64,7 +64,7 @@ class Problem(EpisodeSetup):
         """Return the design of an agent with a single policy without goals, with these hidden layers."""
         task = self.sample()
         policy = MLP(task.observation_size, hidden, task.action_size)
-        return FlatDesign(policy=policy, control_limit=task.control_limit)
+        return FlatDesign(networks={"policy": policy}, control_limit=task.control_limit)
 
 
 class LevelTransfer(ABC):

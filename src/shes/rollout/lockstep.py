@@ -117,7 +117,7 @@ class Rollout:
         self.horizon, self.design = horizon, design
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
-        self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
+        self.agent = design.agent(design, num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
         self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * rows_per_lane
         self._exploration = Exploration(self.agent, horizon, self.batch.action_size)
@@ -224,7 +224,7 @@ class Rollout:
         batch.step(self._running, action)
         self._steps += 1  # rows that are not running are ignored
         stepped = perf_counter()
-        if self.design.intrinsic_level is not None:
+        if self.design.has_intrinsic_reward:
             # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
             self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
         paid = perf_counter()
@@ -289,8 +289,8 @@ class Rollout:
         outcomes["steps"] = self._steps[rows]
         outcomes["environment_returns"] += reward_after_end[:, 0] * (self.horizon - self._steps[rows])
         outcomes["returns"] = outcomes["environment_returns"][:, None]
-        if self.design.intrinsic_level is not None:
-            outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]
+        if self.design.has_intrinsic_reward:
+            outcomes["returns"][:, -1] = intrinsic_return[:, 0]
         moments = [
             tuple(to_host(sums[ids]) for sums in (own.moments.count, own.moments.total, own.moments.total_squares))
             for own in agent.levels

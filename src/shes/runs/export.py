@@ -102,14 +102,14 @@ def describe(run: OpenedRun) -> dict[str, Any]:
             "goal_encoding": settings["goal_encoding"],
             **_frames(design.symmetry or dihedral_group(1, own, own, is_mirrored=False)),
         }
-    if isinstance(design, GoalDesign) and design.controller is not None:
-        boss = design.controller
+    if isinstance(design, GoalDesign) and design.controller_view is not None:
+        network = design.networks["controller"]
         found["controller"] = {
-            "view": boss.view.to_dict(),
+            "view": design.controller_view.to_dict(),
             "output": settings["controller_output"],
-            "num_sectors": boss.output.size if boss.network.is_tied else 0,
-            "goal_distance_m": boss.goal_distance,
-            "min_component_m": float(MIN_COMPONENT_M) if boss.has_minimum_goal_distance else 0.0,
+            "num_sectors": network.sizes[-1] if network.is_tied else 0,
+            "goal_distance_m": design.goal_distance,
+            "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
         }
     return found
 

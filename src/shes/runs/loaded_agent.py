@@ -52,7 +52,7 @@ class Agent:
         task.close()
         self._levels = dict(zip(algorithm.design.level_names, levels, strict=True))
         # One policy per environment, so that each has a clock and can be reset separately.
-        self._agent = algorithm.design.make(num_envs, 1)
+        self._agent = algorithm.design.agent(algorithm.design, num_envs, 1)
         self._agent.centre_on(levels)
         for own, level in zip(self._agent.levels, levels, strict=True):
             own.theta[:] = level.theta
