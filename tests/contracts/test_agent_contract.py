@@ -119,7 +119,7 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
     """
     of, members, rng = subject(name), [0, 1], np.random.default_rng(4)
     of = replace(of, design=pickle.loads(pickle.dumps(replace(of.design, control_limit=30.0))))  # noqa: S301 - our own
-    names = of.design.level_names
+    names = tuple(of.design.networks)
     assert names in (("policy",), ("primitive",), ("controller", "primitive"))
     assert of.design.has_intrinsic_reward == (names[-1] == "primitive")
     agent, plain = of.agent(members), [of.plain(member) for member in members for _ in range(EPISODES)]

@@ -98,7 +98,7 @@ class PlainAgent:
 
     def __init__(self, design, thetas, levels, recorded=(), see=columns):
         self.design, self.thetas, self.levels, self.recorded, self.see = design, thetas, levels, list(recorded), see
-        self.has_goals = "primitive" in design.level_names
+        self.has_goals = "primitive" in design.networks
         if self.has_goals:
             self.encoding = _name(GOAL_ENCODINGS, design.goal_encoding)
             self.reward = _name(PRIMITIVE_REWARDS, design.primitive_reward)

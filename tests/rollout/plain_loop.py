@@ -96,7 +96,7 @@ def sums_of(moments):
 
 def _outcome(batch, agent, row, steps, intrinsic, horizon):
     """Return all quantities of the episode in `row`, which has just ended, as a row of `empty_outcomes`."""
-    paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), agent.design.level_names
+    paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), [*agent.design.networks]
     returns, is_sound = [intrinsic if name == "primitive" else paid for name in names], not batch.diverged[row]
     ends = batch.terminated[row] and is_sound, batch.fallen[row] and is_sound, not is_sound
     return (

@@ -61,11 +61,6 @@ class AgentDesign:
     """Largest absolute value of a normalised input; infinity for no limit."""
 
     @property
-    def level_names(self) -> tuple[str, ...]:
-        """The name of each level."""
-        return tuple(self.networks)
-
-    @property
     def policies(self) -> tuple[MLP, ...]:
         """The network of each level."""
         return tuple(self.networks.values())

@@ -16,7 +16,7 @@ import numpy as np
 from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
 from shes.agents.goals import ControllerOutput, GoalEncoding
 from shes.agents.rewards import REACHED_M, PrimitiveReward
-from shes.agents.views import ColumnsView, View
+from shes.agents.views import ColumnsView, View, turned_back
 from shes.envs.bodies.body import SymmetryGroup
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
@@ -83,13 +83,6 @@ class Frames:
     def controls(self, control: F32Array) -> F32Array:
         """Return controls [N, A], given in these frames, in the robots' own frames."""
         return control.ravel()[self._own_control] * self._own_control_sign
-
-
-def turned_back(vector: F64Array, angle: F64Array) -> F64Array:
-    """Return `vector` [N, 2] rotated by minus `angle` [N]: from the world frame to the frame of a heading."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, y = vector[:, 0], vector[:, 1]
-    return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
 
 
 class GoalAgent(AgentBatch["GoalDesign"]):

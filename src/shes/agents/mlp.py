@@ -207,7 +207,14 @@ class LevelPolicies:
         if self.is_recording:
             self.moments.add(rows, inputs)
         scaled = normalise(inputs, *self._normalisation, self._clip)
-        output = self._forward(scaled.reshape(-1, self._rows_per_lane, scaled.shape[1]), lanes)
+        layers, each_row = self._layers, self._rows
+        if not isinstance(lanes, slice):
+            # Each row on a cache line, as in theta: the place of a policy must not change its rounding.
+            own = np.take(self._weights, lanes, axis=0, out=aligned_rows(len(lanes), self._weights.shape[1]))
+            layers = self._network.layers(own)
+            each_row = tuple((scales[lanes], biases[lanes]) for scales, biases in each_row)
+        observation = scaled.reshape(-1, self._rows_per_lane, scaled.shape[1])
+        output = self._network.forward(layers, observation, self._mean_layers, each_row)
         output *= self._limit
         if noise is not None:
             output += noise[lanes]
@@ -216,16 +223,6 @@ class LevelPolicies:
     def is_finite(self, lane: int) -> bool:
         """Return whether all parameters of a lane are finite."""
         return bool(np.isfinite(self._weights[lane] + self._mean[0]).all())  # the mean is 0 without shared noise
-
-    def _forward(self, observation: F32Array, lanes: slice | IntArray) -> F32Array:
-        """Return the outputs of the policies in `lanes` for normalised `observation` [lanes, R, O]."""
-        layers, rows = self._layers, self._rows
-        if not isinstance(lanes, slice):
-            # Each row on a cache line, as in theta: the place of a policy must not change its rounding.
-            own = np.take(self._weights, lanes, axis=0, out=aligned_rows(len(lanes), self._weights.shape[1]))
-            layers = self._network.layers(own)
-            rows = tuple((scales[lanes], biases[lanes]) for scales, biases in rows)
-        return self._network.forward(layers, observation, self._mean_layers, rows)
 
     def _zero_parameters(self, rows: int, size: int) -> F32Array:
         return aligned_rows(rows, size) if self._xp is np else self._xp.zeros((rows, size), np.float32)

@@ -81,8 +81,7 @@ class EvolutionStrategy:
             optimizer=OPTIMIZERS.find(optimizer)(),
         )
         member_signs(perturbation, mirrored, population_size, [True] * len(dims), 0)  # checks the population size
-        self.table = NoiseTable.open(noise_table_size)
-        self.table.check_dim(max(self.dims))
+        self.table = NoiseTable.open(noise_table_size, max(self.dims))
         self.state = self._start(initial, seed) if state is None else state
         if tuple(len(level.theta) for level in self.state.levels) != self.dims:
             raise ShapeError(f"state has levels of {[len(x.theta) for x in self.state.levels]}, dim is {self.dims}.")

@@ -307,7 +307,7 @@ class Rollout:
                 continue
             place, slot = divmod(row, self.rows_per_lane)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
-            levels = zip(self.design.level_names, self.agent.levels, strict=True)
+            levels = zip(self.design.networks, self.agent.levels, strict=True)
             which = " and ".join(name for name, level in levels if not level.is_finite(place))
             member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
             raise PolicyError(

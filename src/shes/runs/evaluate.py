@@ -134,7 +134,7 @@ def evaluate_state(
     for name, decisions in _DECISIONS[controller].items():
         levels = parameters
         if decisions is not None:  # a network with parameters of 0 returns 0
-            pairs = zip(design.level_names, parameters, strict=True)
+            pairs = zip(design.networks, parameters, strict=True)
             levels = tuple(level.at_zero() if own == "controller" else level for own, level in pairs)
         generation = Generation(
             levels=levels, sigma=0.0, episodes_per_policy=rows, kind="evaluation", decisions=decisions

@@ -64,23 +64,22 @@ def export(
     if folder.name == "checkpoints" and (folder.parent / "config.json").exists():
         raise ConfigError(f"{path} would be among the checkpoints of a run, as which it cannot be read. Set --out.")
     opened = open_run(run, checkpoint)
-    design, parameters = opened.algorithm.design, opened.algorithm.parameters(opened.state)
-    levels = zip(design.level_names, design.policies, parameters, strict=True)
-    return FORMATS[format](path, describe(opened), {name: (policy, own) for name, policy, own in levels})
+    parameters = opened.algorithm.parameters(opened.state)
+    levels = zip(opened.algorithm.design.networks.items(), parameters, strict=True)
+    return FORMATS[format](path, describe(opened), {name: (policy, own) for (name, policy), own in levels})
 
 
 def describe(run: OpenedRun) -> dict[str, Any]:
     """Return all of an agent but its networks, as JSON types."""
     design, settings = run.algorithm.design, run.config.values
     task, clock = run.algorithm.problem.sample(), design.clock
-    layers = {name: len(policy.sizes) - 1 for name, policy in zip(design.level_names, design.policies, strict=True)}
     found: dict[str, Any] = {
         "format": _FORMAT,
         "shes": version("shes"),
         "env": run.config.run.env,
         "generation": run.state.generation,
-        "levels": list(design.level_names),
-        "num_layers": layers,
+        "levels": list(design.networks),
+        "num_layers": {name: len(network.sizes) - 1 for name, network in design.networks.items()},
         "observation": list(task.observation_names),
         "action": _action(task),
         "hidden_activation": design.policies[-1].hidden_activation,
