@@ -124,11 +124,6 @@ class AgentBatch(ABC, Generic[Design]):
         """Steps since the start of each lane's episodes [P]."""
         self.goals_reached: IntArray = xp.zeros(rows, dtype=np.int64)
         """Number of goals reached in each episode [N]."""
-        self.allocate()
-
-    @abstractmethod
-    def allocate(self) -> None:
-        """Allocate the arrays of a subclass, at the end of the constructor."""
 
     def centre_on(self, levels: tuple[LevelParameters, ...]) -> None:
         """Set normalisation and mean of each level; see `LevelPolicies.centre_on`."""
@@ -174,8 +169,8 @@ class AgentBatch(ABC, Generic[Design]):
 class FlatAgent(AgentBatch["FlatDesign"]):
     """Policies without goals, in P lanes of R episodes each."""
 
-    def allocate(self) -> None:
-        """Allocate the inputs of the policies."""
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         self._inputs: F64Array = self.xp.zeros((self.num_rows, self.design.observation_sizes[0]))
 
     def act(self, inputs: AgentInputs) -> F32Array:

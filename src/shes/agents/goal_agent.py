@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -88,8 +88,8 @@ class Frames:
 class GoalAgent(AgentBatch["GoalDesign"]):
     """Agents that pursue goals, in P lanes of R episodes."""
 
-    def allocate(self) -> None:
-        """Allocate the goals and the inputs of the levels."""
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         design, rows, xp = self.design, self.num_rows, self.xp
         self.goal = self._goal = xp.ones((rows, 2))
         self._way: F64Array = xp.zeros((rows, 2))  # to the goals from `_origin`

@@ -37,8 +37,8 @@ class HiroAgent(AgentBatch["HiroDesign"]):
     transition h(s, g, s') = s + g - s'.
     """
 
-    def allocate(self) -> None:
-        """Allocate the goals and the inputs of the primitive."""
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         design, rows, xp = self.design, self.num_rows, self.xp
         self._limit = xp.asarray(design.half_range)
         self._target: F64Array = xp.zeros((rows, design.decision_size))
