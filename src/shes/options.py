@@ -18,8 +18,8 @@ from shes.settings import Choices, Needs, Setting, Settings, Unasked, registered
 T = TypeVar("T")
 
 TAKEN = frozenset({
-    "debug", "env", "help", "help_all", "import", "json", "listener", "out", "path", "preset", "progress", "run",
-    "seed", "settings", "sweep", "workers",
+    "debug", "env", "help", "help_all", "import", "json", "like", "listener", "out", "path", "preset", "progress",
+    "run", "seed", "settings", "sweep", "workers",
 })  # fmt: skip
 """Names that an option cannot have: arguments of `shes.train` and `shes.resume`, and flags of their commands."""
 

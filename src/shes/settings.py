@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 import linecache
 import math
 import re
@@ -22,6 +23,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache, wraps
 from itertools import pairwise
+from operator import methodcaller
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -128,6 +130,8 @@ class Setting:
         """
         if value is None and self.is_optional:
             return None
+        if self.kind is dict:
+            return self._checked_object(value)
         plain = _plain(value)
         if known := next(self.all_of(Choices), None):
             return self._checked_name(plain, known)
@@ -150,6 +154,16 @@ class Setting:
             raise UnknownNameError(kind, value, known.names, fix)
         return value
 
+    def _checked_object(self, value: Any) -> dict[str, Any]:
+        """Return a copy of a JSON object, which may be given as its text."""
+        try:
+            found = json.loads(value) if isinstance(value, str) else value
+            if isinstance(found, Mapping) and all(isinstance(name, str) and name.isidentifier() for name in found):
+                return json.loads(json.dumps(dict(found), allow_nan=False, default=methodcaller("tolist")))
+        except (AttributeError, RecursionError, TypeError, ValueError):  # no JSON
+            pass
+        raise out_of_range(self.name, value, self.allowed, self.flag)
+
     def _is_item(self, value: Any) -> bool:
         """Return whether `value` has the type of an item and is within the bounds; a bool is not a number."""
         if self.item not in (int, float):
@@ -167,6 +181,7 @@ class Setting:
         """The allowed values in words, for error messages."""
         count = f"{self.length} " if self.length else ""
         named = {bool: "true or false", str: "a name", int: "a whole number", float: "a number"}
+        named[dict] = "a JSON object of names and values"
         words = named.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
         if self.kind is tuple:
             words = words.removeprefix("a ") + "s"
@@ -211,11 +226,11 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     for field in fields(cls):
         default = field.default_factory() if field.default_factory is not MISSING else field.default
         setting = found[field.name] = described(field.name, hints[field.name], cls, default)
-        if setting.item not in ((int, float) if setting.kind is tuple else (bool, int, float, str)):
+        if setting.item not in ((int, float) if setting.kind is tuple else (bool, int, float, str, dict)):
             raise ConfigError(
                 f"{full_name(cls)}.{field.name} has the type {hints[field.name]}, which a setting "
-                "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, or one of these "
-                "or None."
+                "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, a dict, or "
+                "one of these or None."
             )
     return found
 
@@ -228,6 +243,8 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
         kind, inner = _unwrapped(Union[tuple(each for each in get_args(kind) if each is not NoneType)])  # noqa: UP007
         notes += inner
     item, length = kind, None
+    if get_origin(kind) is dict:
+        kind = item = dict
     if get_origin(kind) is tuple:
         first, *others = get_args(kind) or (None,)
         item, inner = _unwrapped(first)

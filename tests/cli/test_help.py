@@ -152,6 +152,7 @@ WRITTEN = {
     "--hidden": {"hidden": ()},
     "--hidden none --primitive-hidden none": {"hidden": (), "primitive_hidden": None},
     "--weight-decay 0 --fall-price=0": {"weight_decay": 0.0, "fall_price": 0.0},
+    '--env-kwargs {"a":3} --reset-options none': {"env_kwargs": '{"a":3}', "reset_options": None},
 }
 
 

@@ -53,7 +53,7 @@ def contents(folder):
 
 LINES = {
     "trian x": r"unknown command 'trian'\. Did you mean 'train'\? Known: train, .*shes --help",
-    "train --preset smoke": r"Missing from shes train: ENV Environment \(shes envs\) or gymnas",
+    "train --preset smoke": r"a run needs an environment: shes train ENV, or shes train --like RUN for that of a run",
     "train ant-gather --mirrored": r"Missing value for argument '--mirrored'",
     "train ant-gather --population 8": r"Unrecognized options: --population, 8.* meant: .*--population-size INT",
     "train ant-gather extra": r"Unrecognized options: extra",

@@ -9,17 +9,18 @@ from typing import Annotated
 import gymnasium
 import pytest
 
+import shes
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.tasks.task import TaskOptions
-from shes.errors import ConfigError, ShapeError, UnknownNameError
+from shes.errors import ConfigError, RunFolderError, ShapeError, UnknownNameError
 from shes.runs.build import build_algorithm, build_options
 from shes.runs.config import TrainConfig, WorkerSettings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import PRESET_NAMES
 from shes.settings import Gt, Settings, Shared
-from tests.e2e import own_classes
+from tests.e2e import own_classes, runs
 
 EXECUTION = {
     "preset": "paper", "backend": "serial", "num_workers": 3, "chunk_size": 7, "device": "cuda", "nconmax": 3,
@@ -249,6 +250,49 @@ def test_the_presets_of_hiro_fit_a_small_maze(preset):
     pytest.importorskip("gymnasium_robotics")
     config = make_config("robotics-point-maze", preset)
     assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
+
+
+# A run like another one.
+
+
+def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):
+    given = {"algorithm": "es", "sigma": 0.07, "seed": 9, "generations": 0 + 1, "integrator": "rk4"}
+    run = shes.train("point-gather", out=tmp_path / "run", **runs.TINY | given)
+    config = make_config(None, None, {"like": run})
+    assert config.values == {**run.config.values, "seed": 1}
+    more = make_config("point-maze", None, {"like": run.path, "seed": 4, "sigma": 0.08, "mirrored": "none"}).values
+    changed = {"env": "point-maze", "seed": 4, "sigma": 0.08, "mirrored": "none"}
+    assert {name: more[name] for name in run.config.values} == {**run.config.values, **changed}
+    assert make_config("point-maze").values.items() >= {(name, more[name]) for name in more - run.config.values.keys()}
+
+
+def test_what_a_run_like_a_shipped_agent_takes():
+    config, usual = make_config("ant-maze", None, {"like": "ant-gather"}), make_config("ant-maze")
+    assert (config.values["primitive"], config.values["waypoints"]) == ("ant-walker", usual.values["waypoints"])
+
+
+LIKE = [
+    (None, {"like": "gone"}, r"gone does not exist\. Give the folder that `shes train` printed"),
+    (
+        None,
+        {"like": "ant-maze", "algorithm": "es"},
+        r"primitive is 'ant-walker' in ant-maze, but it is not a setting of",
+    ),
+    (None, {"like": "ant-walker"}, r"--primitive fifth-walker: fifth-walker does not exist"),
+    ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
+    ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
+    (
+        "ant-gather",
+        {"like": "ant-maze", "preset": "smoke"},
+        "preset has no effect with like, got 'smoke'. Omit --preset",
+    ),
+]
+
+
+@pytest.mark.parametrize(("env", "settings", "message"), LIKE)
+def test_a_run_that_cannot_be_like_another_is_refused(env, settings, message):
+    with pytest.raises((ConfigError, RunFolderError), match=message):
+        make_config(env, settings.get("preset"), {k: v for k, v in settings.items() if k != "preset"})
 
 
 OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"

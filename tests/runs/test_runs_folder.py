@@ -149,6 +149,7 @@ def test_values_are_read_as_their_setting_needs():
         "num_workers": {"1": 1, "2": 2},
         "primitive_sigma": {"none": None, "0.1": 0.1},
     }
+    assert read_sweep(['env_kwargs={"a":3},{}']) == {"env_kwargs": {'{"a":3}': {"a": 3}, "{}": {}}}
     assert read_sweep(["hidden=none,64x32", "freeze_primitive=true,false", "algorithm=es,shes"]) == {
         "hidden": {"none": (), "64x32": (64, 32)},
         "freeze_primitive": {"true": True, "false": False},

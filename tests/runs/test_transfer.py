@@ -102,7 +102,9 @@ def test_a_level_brings_what_it_was_trained_with(sources, tmp_path, source):
     origin = RunFolder.open(sources(source))
     with recording() as record:
         path = runs.train_tiny(tmp_path / "run", env, **{kind: origin.path, **asked}, generations=2)
-    assert RunFolder(path).read_config().values.items() >= {**expected, kind: str(origin.path)}.items()
+    values = RunFolder(path).read_config().values
+    assert values.items() >= {**expected, kind: str(origin.path)}.items()
+    assert make_config(None, None, {"like": path}).values == {**values, "seed": 1}
     starts, ends = ({each.name: each for each in runs.state(path, checkpoint).levels} for checkpoint in ("0", "last"))
     brought = level(origin.path, "best", kind)
     assert same(starts[kind], brought)

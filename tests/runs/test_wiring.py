@@ -247,6 +247,7 @@ SHOWN = {
     *("evaluation_interval", "evaluation_episodes", "keep_checkpoints"),
     *("primitive", "primitive_checkpoint", "freeze_primitive", "controller"),
     *("num_workers", "backend", "device", "nconmax", "njmax", "deterministic"),
+    *("env_kwargs", "reset_options"),  # of external environments
 }
 """Settings that show in a run alone: see `test_train`, `test_tables`, `test_transfer`, `test_device` and tests/e2e."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -42,9 +42,12 @@ class Environment(NamedTuple):
     max_episode_steps = None
     """Time limit of the environment in control steps, or None if the preset sets it."""
 
-    def with_body_options(self, options: Settings) -> Environment:
-        """Return this environment with a body made from `options`."""
-        return self._replace(body=self.body.maker(options))  # type: ignore[arg-type] - called like the class
+    def with_options(self, values: Mapping[str, Any]) -> Environment:
+        """Return this environment with a body made from its options among `values`, if it has some."""
+        own = self.body.Options
+        if own is Settings:
+            return self
+        return self._replace(body=self.body.maker(own.of(values)))  # type: ignore[arg-type] - called like the class
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator

@@ -45,16 +45,14 @@ class TaskAdapter:
         named = with_robot(name, options.get("robot"))
         environment = ENVIRONMENTS.find(named) if named not in ROBOT_ENVIRONMENTS else ROBOT_ENVIRONMENTS[named]
         options = {key: value for key, value in options.items() if key != "robot" or named == name}
-        of_task, of_body = environment.task.Options, environment.body.Options
-        names = {*setting_fields(of_task), *setting_fields(of_body), *_PICTURE_DEFAULTS}
+        own = environment.task.Options
+        names = {*setting_fields(own), *setting_fields(environment.body.Options), *_PICTURE_DEFAULTS}
         for option in options:
             if option not in names:
                 known = ", ".join(nearest_first(option, names))
                 raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
-        if setting_fields(of_body):
-            environment = environment.with_body_options(of_body.of(options))
         simulator = partial(CpuSimulator, num_threads=min(num_threads, num_envs))
-        self.task: Task = environment.make(num_envs, of_task.of(options), simulator)
+        self.task: Task = environment.with_options(options).make(num_envs, own.of(options), simulator)
         self._picture = {**_PICTURE_DEFAULTS, **options}
         if self._picture["camera"] not in CAMERAS:
             raise UnknownNameError("camera", self._picture["camera"], CAMERAS)

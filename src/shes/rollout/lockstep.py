@@ -273,7 +273,7 @@ class Rollout:
             "success": batch.success,
             "goals_reached": agent.goals_reached,
             "has_diverged": batch.diverged,
-            "has_terminated": batch.terminated & ~batch.diverged,
+            "has_terminated": batch.terminated & ~batch.truncated & ~batch.diverged,
             "has_fallen": batch.fallen & ~batch.diverged,
             "final_position": batch.position,
         }

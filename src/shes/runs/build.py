@@ -13,7 +13,7 @@ from shes.algorithms.contract import Algorithm, Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.external_task import ExternalEnvironment
-from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
+from shes.envs.named_environments import EnvironmentMaker, find_environment
 from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
@@ -39,8 +39,7 @@ _TASK_BYTES = 400  # of a task in the parent process, per episode: 200 to 400 me
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
     """Return the environment of `config`."""
-    env = find_environment(config.run.env)
-    return env.with_body_options(config.body) if isinstance(env, Environment) and "body" in config else env
+    return find_environment(config.run.env).with_options(config.values)
 
 
 def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
@@ -170,7 +169,7 @@ def _memory(config: TrainConfig, design: AgentDesign, workers: int, *, is_evalua
     policies, rows = config.algorithm.population(config)
     at_a_time = most_episodes(config, is_evaluation=is_evaluation)
     workers = min(workers, at_a_time)
-    env = find_environment(config.run.env)
+    env = build_environment(config)
     instance_bytes = env.measured_bytes() if isinstance(env, ExternalEnvironment) else None
 
     def rollout(policies: int, horizon: int) -> int:

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
 from shes.envs.bodies.robot import robot_stem
+from shes.envs.external_task import ExternalOptions
 from shes.envs.named_environments import ENVIRONMENTS, ROBOT_ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError
@@ -242,7 +243,8 @@ def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
     environments = [*ENVIRONMENTS.values(), *ROBOT_ENVIRONMENTS.values()]
-    classes = dict.fromkeys(cls for env in environments for cls in (env.task.Options, env.body.Options))
+    own = (cls for env in environments for cls in (env.task.Options, env.body.Options))
+    classes = dict.fromkeys((*own, ExternalOptions))
     sections = [_OF_EVERY_RUN, *({"": cls} for cls in classes), *(each.sections for each in algorithm_classes())]
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 

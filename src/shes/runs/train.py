@@ -83,9 +83,10 @@ def _columns(table: Path) -> dict[str, F64Array]:
 
 
 def train(
-    env: str,
+    env: str | None = None,
     *,
-    preset: str = "laptop",
+    like: Path | str | None = None,
+    preset: str | None = None,
     out: Path | str | None = None,
     listener: AnyListener = None,
     progress: bool | None = None,
@@ -94,8 +95,10 @@ def train(
     """Train on `env` and return the run.
 
     Args:
-        env: Environment, e.g. `ant-gather`.
-        preset: `laptop`, `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
+        env: Environment, e.g. `ant-gather`; that of run `like` if none.
+        like: A run folder or shipped agent that gives every setting that is not given here, except for the seed. In
+            another environment, values of its preset are those for that environment.
+        preset: `laptop` (if none), `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
         out: The run folder, which must not hold a run; a new one below `runs/` if none.
         listener: Receives the progress: a function of a row of `progress.csv`, an object with any of the methods
             `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by
@@ -117,7 +120,7 @@ def train(
             "or use the command line: shes train ENV --seed 1 2 3"
         )
     with with_display(listener, progress) as heard:
-        return start_run(make_config(env, preset, settings), out, heard)
+        return start_run(make_config(env, preset, {**settings, "like": like}), out, heard)
 
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
