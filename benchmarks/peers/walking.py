@@ -51,7 +51,7 @@ class OwnView:
         task = algorithm.problem.make_task(is_evaluation=True)
         self._reader = task.reader
         task.close()
-        self._agent = algorithm.design.make(num_envs, 1)
+        self._agent = algorithm.design.agent(algorithm.design, num_envs, 1)
         self.size: int = algorithm.design.observation_sizes[-1]
         self._agent.start(slice(None))
 

@@ -160,7 +160,7 @@ def test_intervals_are_the_steps_of_the_primitive(settings):
 def test_exploration_is_within_the_range_and_as_wide_as_asked():
     learner = algorithm("td3", "ant-maze", exploration_noise=0.2)
     _, _, actors = collector_of(learner, is_random=False)
-    inputs, rng = np.zeros((1, learner.design.policy.sizes[0])), np.random.default_rng(0)
+    inputs, rng = np.zeros((1, learner.design.observation_sizes[0])), np.random.default_rng(0)
     drawn = np.concatenate([actors[-1].act(inputs, rng) for _ in range(2000)])
     assert drawn.std() == pytest.approx(0.2 * 30, rel=0.05)
     actors[-1].is_random = True

@@ -54,7 +54,7 @@ class Subject:
 
     def agent(self, members, episodes=EPISODES):
         """Return an agent in whose lanes the episodes of these members start."""
-        agent = self.design.make(len(members), episodes)
+        agent = self.design.agent(self.design, len(members), episodes)
         agent.centre_on(levels_of(self.design))
         for place, member in enumerate(members):
             self.start(agent, place, member)
@@ -119,9 +119,9 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
     """
     of, members, rng = subject(name), [0, 1], np.random.default_rng(4)
     of = replace(of, design=pickle.loads(pickle.dumps(replace(of.design, control_limit=30.0))))  # noqa: S301 - our own
-    names = of.design.level_names
+    names = tuple(of.design.networks)
     assert names in (("policy",), ("primitive",), ("controller", "primitive"))
-    assert of.design.intrinsic_level == (None if names == ("policy",) else len(names) - 1)
+    assert of.design.has_intrinsic_reward == (names[-1] == "primitive")
     agent, plain = of.agent(members), [of.plain(member) for member in members for _ in range(EPISODES)]
     paid, held = set(), []
     for level in agent.levels:
@@ -160,8 +160,8 @@ def test_an_agent_acts_pays_and_sees_as_the_plain_one(name):
             array[:] = 99
     assert all(controls.dtype == np.float32 and controls.tobytes() == before for controls, before in held)
     assert agent.clock.tolist() == [STEPS, 2 * INTERVAL + STEPS - 3]
-    assert len(paid) > 10 if of.design.intrinsic_level is not None else paid == {0.0}
-    assert (sum(one.goals_reached for one in plain) > 0) == (of.design.intrinsic_level is not None)
+    assert len(paid) > 10 if of.design.has_intrinsic_reward else paid == {0.0}
+    assert (sum(one.goals_reached for one in plain) > 0) == of.design.has_intrinsic_reward
     for level, moments in enumerate(own.moments for own in agent.levels):
         for row, one in enumerate(plain):
             inputs = np.array(one.inputs[level])
@@ -201,8 +201,8 @@ def test_members_that_share_noise_act_as_without(name):
     """Two members in a lane: the mean plus and minus the noise."""
     of, sigma = subject(name), 0.2
     levels = levels_of(of.design)
-    shared = of.design.make(MEMBERS // 2, 2 * EPISODES, shares_noise=True)
-    own = of.design.make(MEMBERS, EPISODES)
+    shared = of.design.agent(of.design, MEMBERS // 2, 2 * EPISODES, shares_noise=True)
+    own = of.design.agent(of.design, MEMBERS, EPISODES)
     for level, mean in enumerate(levels):
         for lane in range(MEMBERS // 2):
             noise = thetas_of(of.design, lane)[level]

@@ -100,7 +100,7 @@ def test_it_starts_by_the_seed_with_agents_of_its_design(learner):
     assert (state.seed, state.generation, state.env_steps) == (7, 0, 0)
     assert same(learner, state, learner.start(7))
     parameters = learner.parameters(state)
-    assert learner.level_names == learner.design.level_names
+    assert learner.level_names == tuple(learner.design.networks)
     assert tuple(len(level.theta) for level in parameters) == learner.design.dims
     assert tuple(len(level.mean) for level in parameters) == learner.design.observation_sizes
     kept = learner.parameters(learner.without_training(state))

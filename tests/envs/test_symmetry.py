@@ -145,7 +145,7 @@ def test_a_primitive_acts_in_images_of_its_group_as_in_the_world(kind, equal):
     worlds = [turned(rng.uniform(-np.pi, np.pi)) @ MIRRORS[element // 4] for element in range(len(ELEMENTS))]
     images = [Images(model, *each) for each in ((np.eye(3), np.eye(3)), *zip(worlds, ELEMENTS, strict=True))]
     design = GoalDesign(
-        primitive=MLP(AngleEncoding.size + view.size(29), (16, 16), len(Ant.controls)),
+        networks={"primitive": MLP(AngleEncoding.size + view.size(29), (16, 16), len(Ant.controls))},
         primitive_view=view,
         symmetry=GROUPS.get(kind),
         goal_encoding=AngleEncoding(),
@@ -153,8 +153,8 @@ def test_a_primitive_acts_in_images_of_its_group_as_in_the_world(kind, equal):
         controller_interval=4,
         control_limit=1.0,
     )
-    agent = design.make(1, len(images))
-    theta = design.primitive.initial(rng, "glorot_normal") * 2
+    agent = design.agent(design, 1, len(images))
+    theta = design.networks["primitive"].initial(rng, "glorot_normal") * 2
     statistics = ObservationStatistics.empty(28).merge(9, rng.normal(size=28), np.full(28, 20.0))
     agent.centre_on((LevelParameters.of(theta, statistics),))
     agent.levels[0].theta[0] = theta

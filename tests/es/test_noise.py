@@ -64,7 +64,7 @@ def test_opening_again_does_not_write_the_file(cache):
     path = NoiseTable.open(9000).path
     os.utime(path, ns=(1, 1))
     inode = path.stat().st_ino
-    assert NoiseTable.open(9000).size == 9000
+    assert NoiseTable.open(9000, 4500).size == 9000
     assert (path.stat().st_mtime_ns, path.stat().st_ino) == (1, inode)
     assert list(cache.iterdir()) == [path]
 
@@ -150,7 +150,7 @@ def test_a_table_that_does_not_fit_is_refused(cache, monkeypatch, kind, where):
         (lambda: NoiseTable.open(100), StorageError, "cannot be kept.*SHES_CACHE_DIR"),
         (lambda: NoiseTable.open_copy(Path("no.f32")), StorageError, r"no\.f32 cannot be opened.*Start the run again"),
         (
-            lambda: NoiseTable(np.zeros(2000, np.float32)).check_dim(1001),
+            lambda: NoiseTable.open(2000, 1001),
             ConfigError,
             r"is 2,000.* 1,001 parameters.* at least 2,002.*--noise-table-size",
         ),
@@ -158,7 +158,6 @@ def test_a_table_that_does_not_fit_is_refused(cache, monkeypatch, kind, where):
 )
 def test_what_cannot_be_opened_is_refused(cache, call, error, message):
     cache.write_text("")  # a file is in the way
-    NoiseTable(np.zeros(2000, np.float32)).check_dim(1000)
     with pytest.raises(error, match=message):
         call()
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError
-from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, member_signs, sign_matrix
+from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, member_signs
 
 BOTH, CONTROLLER_ALONE = (True, True), (True, False)
 
@@ -17,7 +17,7 @@ def signs_of(name, population, mirrored="quad", learns=BOTH, generation=0):
 
 @given(num_levels=st.integers(1, 5))
 def test_quad_is_balanced_orthogonal_and_complete(num_levels):
-    signs = sign_matrix("quad", num_levels).astype(int)
+    signs = np.array(MIRRORINGS["quad"](num_levels))
     assert not signs.sum(axis=0).any()
     assert np.array_equal(signs.T @ signs, 2**num_levels * np.eye(num_levels))
     assert len(np.unique(signs, axis=0)) == 2**num_levels

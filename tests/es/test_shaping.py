@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError, PolicyError
+from shes.es.level import UpdateRule
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from tests.es import textbook
 
@@ -31,11 +32,14 @@ def test_shift_and_scale_have_no_effect(shaping, fitness, shift, scale):
         assert shaping(values * scale + shift) == pytest.approx(shaped, abs=1e-9)
 
 
-@every_shaping
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_fitness_that_is_not_finite_is_refused(shaping, value):
+def test_a_fitness_that_is_not_finite_is_refused(value):
+    """Unless the member does not perturb the level."""
+    fitness, rule = _array([0, 1, value, value, 3, 4]), UpdateRule()
     with pytest.raises(PolicyError, match=rf"fitness of member 2 is {value}, but every fitness must be finite"):
-        shaping(_array([0, 1, value, value]))
+        rule.shape(fitness, np.array([[1, -1]] * 3, np.int8))
+    shaped = rule.shape(fitness, np.array([[1, -1], [0, 0], [1, -1]], np.int8))
+    assert shaped.tolist() == textbook.centred_ranks([0, 1, 3, 4], "average")
 
 
 @pytest.mark.parametrize(("name", "ties"), [("centred_rank", "average"), ("centred_rank_index", "index")])

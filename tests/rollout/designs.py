@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from shes.agents.agent import FlatDesign
-from shes.agents.goal_agent import Controller, GoalDesign
+from shes.agents.goal_agent import GoalDesign
 from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
 from shes.agents.mlp import MLP
 from shes.agents.rewards import PRIMITIVE_REWARDS
@@ -25,14 +25,14 @@ VIEWS = (ColumnsView(), ColumnsView((0, 1, 2)), ColumnsView((3, 0, 4)))
 def flat(clock=None, hidden=(8,)):
     """Return the design of a policy without goals."""
     inputs = OBSERVED + (clock.size if clock else 0)
-    return FlatDesign(policy=MLP(inputs, hidden, ACTIONS), control_limit=1.0, clock=clock)
+    return FlatDesign(networks={"policy": MLP(inputs, hidden, ACTIONS)}, control_limit=1.0, clock=clock)
 
 
 def primitive(encoding="angle", reward="progress", clock=None, view=VIEWS[0], hidden=(8,), **options):
     """Return the design of a primitive that follows the environment's goals, or recorded ones."""
     inputs = make(GOAL_ENCODINGS, encoding, {}).size + (clock.size if clock else 0) + view.size(OBSERVED)
     design = GoalDesign(
-        primitive=MLP(inputs, hidden, ACTIONS),
+        networks={"primitive": MLP(inputs, hidden, ACTIONS)},
         primitive_view=view,
         goal_encoding=make(GOAL_ENCODINGS, encoding, {}),
         primitive_reward=make(PRIMITIVE_REWARDS, reward, {}),
@@ -46,14 +46,15 @@ def primitive(encoding="angle", reward="progress", clock=None, view=VIEWS[0], hi
 def both(output="vector", sees=VIEWS[0], hidden=(8,), *, is_minimum=True, distance=4.0, **options):
     """Return the design of a controller with a `primitive`."""
     made = make(CONTROLLER_OUTPUTS, output, {})
-    controller = Controller(
-        network=MLP(sees.size(OBSERVED), hidden, made.size),
-        output=made,
-        view=sees,
+    below = primitive(hidden=hidden, **options)
+    return replace(
+        below,
+        networks={"controller": MLP(sees.size(OBSERVED), hidden, made.size), **below.networks},
+        controller_view=sees,
+        controller_output=made,
         goal_distance=distance,
         has_minimum_goal_distance=is_minimum,
     )
-    return replace(primitive(hidden=hidden, **options), controller=controller)
 
 
 def _turn(choices, number):

@@ -98,7 +98,7 @@ class PlainAgent:
 
     def __init__(self, design, thetas, levels, recorded=(), see=columns):
         self.design, self.thetas, self.levels, self.recorded, self.see = design, thetas, levels, list(recorded), see
-        self.has_goals = "primitive" in design.level_names
+        self.has_goals = "primitive" in design.networks
         if self.has_goals:
             self.encoding = _name(GOAL_ENCODINGS, design.goal_encoding)
             self.reward = _name(PRIMITIVE_REWARDS, design.primitive_reward)
@@ -133,10 +133,12 @@ class PlainAgent:
         return control if self.element is None else turn @ control
 
     def _set_goal(self, observation, position, heading, goal, noise):
-        own = self.design.controller
-        if own is not None:
-            output = self._output(0, self.see(own.view, observation, heading)[0]) + noise
-            vector = decide(_name(CONTROLLER_OUTPUTS, own.output), output.tolist(), heading, own.goal_distance)
+        own = self.design
+        if own.controller_view is not None:
+            output = self._output(0, self.see(own.controller_view, observation, heading)[0]) + noise
+            vector = decide(
+                _name(CONTROLLER_OUTPUTS, own.controller_output), output.tolist(), heading, own.goal_distance
+            )
             goal = position + np.array(push_outward(vector) if own.has_minimum_goal_distance else vector)
         elif self.recorded:
             goal = position + (self.recorded.pop(0) if len(self.recorded) > 1 else self.recorded[0])

@@ -42,7 +42,7 @@ def play(design, make_batch, task, generation, table, horizon):
     robots are), each [T] of [R, ...], after the agent has decided and before the physics; and the states at the `ends`.
     """
     rows, slots = generation.rows_per_lane, list(task.slots)
-    batch, agent = make_batch(rows), design.make(1, rows, shares_noise=generation.members_per_lane > 1)
+    batch, agent = make_batch(rows), design.agent(design, 1, rows, shares_noise=generation.members_per_lane > 1)
     agent.centre_on(generation.levels)
     for level, (own, mean) in enumerate(zip(agent.levels, generation.levels, strict=True)):
         noise = table.slice(task.noise_index[level], len(mean.theta))
@@ -96,7 +96,7 @@ def sums_of(moments):
 
 def _outcome(batch, agent, row, steps, intrinsic, horizon):
     """Return all quantities of the episode in `row`, which has just ended, as a row of `empty_outcomes`."""
-    paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), agent.design.level_names
+    paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), [*agent.design.networks]
     returns, is_sound = [intrinsic if name == "primitive" else paid for name in names], not batch.diverged[row]
     ends = batch.terminated[row] and is_sound, batch.fallen[row] and is_sound, not is_sound
     return (

@@ -15,7 +15,8 @@ from tests.rollout import designs
 
 def deciding(output, lanes=1, **options):
     """Return agents at the first step of their episodes whose controllers output `output`, whatever they see."""
-    agent = designs.both(hidden=(), **options).make(lanes, 1)
+    design = designs.both(hidden=(), **options)
+    agent = design.agent(design, lanes, 1)
     agent.levels[0].theta[:, -2:] = np.arctanh(output)
     agent.start(slice(None))
     return agent
@@ -69,7 +70,7 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
     levels = (LevelParameters.of(theta, statistics), LevelParameters.of(primitive.initial(rng), unseen))
 
     def goals(observation, position):
-        agent = design.make(1, len(observation))
+        agent = design.agent(design, 1, len(observation))
         agent.centre_on(levels)
         for own, level in zip(agent.levels, levels, strict=True):
             own.theta[0] = level.theta

@@ -129,7 +129,7 @@ def walking(monkeypatch):
 
     def parameters(learner, state):
         controller, primitive = original(learner, state)
-        weights = np.zeros((learner.design.primitive.sizes[0] + 1, 2), np.float32)
+        weights = np.zeros((learner.design.networks["primitive"].sizes[0] + 1, 2), np.float32)
         weights[0, 0] = weights[1, 1] = 0.5
         identity = {"mean": np.zeros_like(primitive.mean), "inverse_std": np.ones_like(primitive.inverse_std)}
         return controller, replace(primitive, theta=weights.ravel(), **identity)

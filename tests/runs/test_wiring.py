@@ -145,8 +145,8 @@ GROUPS: dict[str, Group] = {
         "hidden": Row((5, 6), design(lambda d: d.policies[0].sizes[1:-1]), [(5, 6)]),
         "primitive_hidden": Row((3,), design(lambda d: d.policies[1].sizes[1:-1]), [(3,)]),
         "biases": Row("glorot_normal", theta(lambda own, _: bool(np.all(own.theta))), [True] * 2),
-        "minimum_goal_distance": Row(False, design(lambda d: d.controller.has_minimum_goal_distance), [False]),
-        "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"]),
+        "minimum_goal_distance": Row(False, design(lambda d: d.has_minimum_goal_distance), [False]),
+        "controller_output": Row("one_hot", design(lambda d: type(d.controller_output).__name__), ["OneHotOutput"]),
         "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"]),
         "evaluation_horizon": Row(12, lambda r: (longest(r), int(r.evaluation.steps.max())), (10, 12)),
         "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2),
@@ -167,7 +167,7 @@ GROUPS: dict[str, Group] = {
                                        r.of("branch")[0].rollout.design.num_recorded_goals), (3, 3)),
         "horizon": Row(90, lambda r: (longest(r), max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)),
         "goal_distance": Row(
-            2.5, lambda r: (r.of("training")[0].rollout.design.controller.goal_distance, goals_within(r, 2.5)),
+            2.5, lambda r: (r.of("training")[0].rollout.design.goal_distance, goals_within(r, 2.5)),
             (2.5, True),
         ),
         "goal_encoding": Row("vector", designed("goal_encoding"), ["VectorEncoding"] * 2),
@@ -199,7 +199,7 @@ GROUPS: dict[str, Group] = {
     }, common=SHORT),
     "controller": Group({
         "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]]),
-        "controller_network": Row("equivariant", design(lambda d: type(d.controller.network).__name__),
+        "controller_network": Row("equivariant", design(lambda d: type(d.networks["controller"]).__name__),
                                   ["EquivariantMLP"]),
     }, common={**SHORT, "controller_view": "sectors", "controller_output": "heading_direction"}, generations=(0, 1)),
     "push": Group({

@@ -40,11 +40,17 @@ class AgentInputs(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgentDesign(ABC):
+class AgentDesign:
     """Design of an agent, without its parameters. It is sent to worker processes."""
 
     agent: ClassVar[type[AgentBatch[Any]]]
     """The class of the agents."""
+    has_intrinsic_reward: ClassVar[bool] = False
+    """Whether the acting level is paid by `AgentBatch.intrinsic_reward`. Other levels get the environment's reward."""
+    networks: dict[str, MLP]
+    """The network of each level by name. The level that acts every step comes last."""
+    controller_view: View | None = None
+    """The part of the observation that a controller sees; None without a controller."""
     control_limit: float
     """Control for an output of 1 of the acting level."""
     clock: Clock | None = None
@@ -55,29 +61,9 @@ class AgentDesign(ABC):
     """Largest absolute value of a normalised input; infinity for no limit."""
 
     @property
-    @abstractmethod
-    def networks(self) -> dict[str, MLP]:
-        """The network of each level by name. The level that acts every step comes last."""
-
-    @property
-    def level_names(self) -> tuple[str, ...]:
-        """The name of each level."""
-        return tuple(self.networks)
-
-    @property
     def policies(self) -> tuple[MLP, ...]:
         """The network of each level."""
         return tuple(self.networks.values())
-
-    @property
-    def controller_view(self) -> View | None:
-        """The part of the observation that a controller sees; None without a controller."""
-        return None
-
-    @property
-    def intrinsic_level(self) -> int | None:
-        """Index of the primitive, which has an intrinsic reward; None without. Others get the environment's reward."""
-        return self.level_names.index("primitive") if "primitive" in self.level_names else None
 
     def exported(self) -> dict[str, Any]:
         """Return what an exported agent holds of its own, as JSON types. `shes.runs.export` adds what is common."""
@@ -86,21 +72,17 @@ class AgentDesign(ABC):
     @property
     def decision_size(self) -> int:
         """Number of outputs of the level that decides every `controller_interval` steps; 0 if there is none."""
-        return 0
+        return self.policies[0].sizes[-1] if len(self.networks) > 1 else 0
 
     def direction_outputs(self, angles: F64Array) -> F64Array:
         """Return the outputs [K, decision_size] of the controller for goals in directions `angles` [K] in radians.
 
-        The goals are at full distance. Angles are counter-clockwise in the frame of the outputs. A design with a
-        controller overrides this.
+        The goals are at full distance. Angles are counter-clockwise in the frame of the outputs. By default the first
+        two outputs are x and y.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no controller, or no direction_outputs for it")
-
-    def make(
-        self, num_lanes: int, rows_per_lane: int, xp: ModuleType = np, *, shares_noise: bool = False
-    ) -> AgentBatch[Any]:
-        """Return agents for `num_lanes` lanes of `rows_per_lane` episodes; `shares_noise` as in `LevelPolicies`."""
-        return self.agent(self, num_lanes, rows_per_lane, xp, shares_noise=shares_noise)
+        outputs = np.zeros((len(angles), self.decision_size))
+        outputs[:, 0], outputs[:, 1] = np.cos(angles), np.sin(angles)
+        return outputs
 
     @property
     def dims(self) -> tuple[int, ...]:
@@ -126,7 +108,7 @@ class AgentBatch(ABC, Generic[Design]):
     def __init__(
         self, design: Design, num_lanes: int, rows_per_lane: int, xp: ModuleType = np, *, shares_noise: bool = False
     ) -> None:
-        """Allocate the arrays; for the arguments see `AgentDesign.make`."""
+        """Allocate the arrays for `num_lanes` lanes of `rows_per_lane` episodes; for the rest see `LevelPolicies`."""
         self.design = design
         self.num_lanes, self.rows_per_lane, self.xp = num_lanes, rows_per_lane, xp
         self.num_rows = rows = num_lanes * rows_per_lane
@@ -142,11 +124,6 @@ class AgentBatch(ABC, Generic[Design]):
         """Steps since the start of each lane's episodes [P]."""
         self.goals_reached: IntArray = xp.zeros(rows, dtype=np.int64)
         """Number of goals reached in each episode [N]."""
-        self.allocate()
-
-    @abstractmethod
-    def allocate(self) -> None:
-        """Allocate the arrays of a subclass, at the end of the constructor."""
 
     def centre_on(self, levels: tuple[LevelParameters, ...]) -> None:
         """Set normalisation and mean of each level; see `LevelPolicies.centre_on`."""
@@ -192,8 +169,8 @@ class AgentBatch(ABC, Generic[Design]):
 class FlatAgent(AgentBatch["FlatDesign"]):
     """Policies without goals, in P lanes of R episodes each."""
 
-    def allocate(self) -> None:
-        """Allocate the inputs of the policies."""
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         self._inputs: F64Array = self.xp.zeros((self.num_rows, self.design.observation_sizes[0]))
 
     def act(self, inputs: AgentInputs) -> F32Array:
@@ -212,9 +189,3 @@ class FlatDesign(AgentDesign):
     """Design of a flat agent. The policy observes the clock, then the observation of the task."""
 
     agent = FlatAgent
-    policy: MLP
-
-    @property
-    def networks(self) -> dict[str, MLP]:
-        """The network of the policy."""
-        return {"policy": self.policy}

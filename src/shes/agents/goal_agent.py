@@ -9,35 +9,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
 from shes.agents.goals import ControllerOutput, GoalEncoding
-from shes.agents.mlp import MLP
 from shes.agents.rewards import REACHED_M, PrimitiveReward
-from shes.agents.views import ColumnsView, View
+from shes.agents.views import ColumnsView, View, turned_back
 from shes.envs.bodies.body import SymmetryGroup
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 _MIN_START_M = 1e-3  # a goal may be set where the robot stands; the relative progress must stay finite
 MIN_COMPONENT_M: Final = np.sqrt(0.5)
 """Minimum size of each component of a goal vector, if goals have a minimum distance of 1 m."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Controller:
-    """Design of the level that sets a goal every c steps. Source: SHES paper II-A to II-C."""
-
-    network: MLP
-    output: ControllerOutput
-    goal_distance: float
-    """Goal distance in metres for an output of 1."""
-    has_minimum_goal_distance: bool
-    """Whether goals nearer than 1 m are moved outward."""
-    view: View = field(default_factory=ColumnsView)
-    """The part of the observation that it sees."""
 
 
 class Frames:
@@ -100,18 +85,11 @@ class Frames:
         return control.ravel()[self._own_control] * self._own_control_sign
 
 
-def turned_back(vector: F64Array, angle: F64Array) -> F64Array:
-    """Return `vector` [N, 2] rotated by minus `angle` [N]: from the world frame to the frame of a heading."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, y = vector[:, 0], vector[:, 1]
-    return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
-
-
 class GoalAgent(AgentBatch["GoalDesign"]):
     """Agents that pursue goals, in P lanes of R episodes."""
 
-    def allocate(self) -> None:
-        """Allocate the goals and the inputs of the levels."""
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         design, rows, xp = self.design, self.num_rows, self.xp
         self.goal = self._goal = xp.ones((rows, 2))
         self._way: F64Array = xp.zeros((rows, 2))  # to the goals from `_origin`
@@ -121,8 +99,8 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         self._has_reached: BoolArray = xp.zeros(rows, dtype=np.bool_)
         self._recorded: F64Array = np.ones((self.num_lanes, design.num_recorded_goals, 2))
         self._num_used: IntArray = np.zeros(self.num_lanes, dtype=np.int64)  # of the recorded goals
-        if design.controller is not None:
-            self._controller_view = design.controller.view.on(xp)
+        if design.controller_view is not None:
+            self._controller_view = design.controller_view.on(xp)
             self._controller_inputs: F64Array = xp.zeros((rows, design.observation_sizes[0]))
         self._view = design.primitive_view.on(xp)
         self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
@@ -149,7 +127,7 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self.rows(due)
-            if design.controller is not None:
+            if design.controller_output is not None:
                 new = position[rows] + self._decide(due, rows, inputs)
             elif design.num_recorded_goals:
                 new = position[rows] + self._next_recorded(due)
@@ -177,11 +155,11 @@ class GoalAgent(AgentBatch["GoalDesign"]):
 
     def _decide(self, due: slice | IntArray, rows: slice | IntArray, inputs: AgentInputs) -> F64Array:
         """Return the vectors [rows, 2] to the goals that the controllers of lanes `due` set for episodes `rows`."""
-        own, seen, heading = self.design.controller, self._controller_inputs[rows], inputs.heading[rows]
-        assert own is not None
+        own, seen, heading = self.design, self._controller_inputs[rows], inputs.heading[rows]
+        assert own.controller_output is not None
         self._controller_view.write(inputs.observation[rows], heading, seen)
         output = self.levels[0].act(seen, inputs.decision_noise, rows, due)
-        vector = own.output.vector(output.astype(np.float64), heading, own.goal_distance)
+        vector = own.controller_output.vector(output.astype(np.float64), heading, own.goal_distance)
         return _push_outward(vector) if own.has_minimum_goal_distance else vector
 
     def _next_recorded(self, due: slice | IntArray) -> F64Array:
@@ -216,38 +194,26 @@ class GoalDesign(AgentDesign):
     """Design of an agent that reaches goals. The primitive observes goal features, clock and view, in this order."""
 
     agent = GoalAgent
-    primitive: MLP
+    has_intrinsic_reward = True
     goal_encoding: GoalEncoding
     primitive_reward: PrimitiveReward
     primitive_view: View = field(default_factory=ColumnsView)
     """The part of the observation that the primitive sees."""
     symmetry: SymmetryGroup | None = None
     """Symmetry group from which a frame is chosen for every goal, if any. It requires an egocentric view."""
-    controller: Controller | None = None
-    """The controller; None for a primitive alone, on goals of the environment or recorded ones."""
+    controller_output: ControllerOutput | None = None
+    """Makes goals of the controller's outputs; None for a primitive alone, on goals of the environment or recorded."""
+    goal_distance: float = 1.0
+    """Goal distance in metres for an output of 1 of the controller."""
+    has_minimum_goal_distance: bool = False
+    """Whether the controller's goals nearer than 1 m are moved outward."""
     num_recorded_goals: int = 0
     """Number of recorded goals in a branch, J; 0 if the goals are not recorded."""
 
-    @property
-    def networks(self) -> dict[str, MLP]:
-        """The network of each level by name."""
-        above = {} if self.controller is None else {"controller": self.controller.network}
-        return {**above, "primitive": self.primitive}
-
-    @property
-    def controller_view(self) -> View | None:
-        """The part of the observation that the controller sees; None without one."""
-        return None if self.controller is None else self.controller.view
-
-    @property
-    def decision_size(self) -> int:
-        """Number of outputs of the controller; 0 without one."""
-        return 0 if self.controller is None else self.controller.output.size
-
     def direction_outputs(self, angles: F64Array) -> F64Array:
         """Return the outputs [K, decision_size] of the controller for goals in directions `angles` [K]."""
-        assert self.controller is not None, "only a controller decides"
-        return self.controller.output.of_direction(angles)
+        assert self.controller_output is not None, "only a controller decides"
+        return self.controller_output.of_direction(angles)
 
 
 def _push_outward(vector: F64Array) -> F64Array:

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.agents.views import sector_directions
+from shes.agents.views import sector_directions, turned_back
 from shes.errors import ConfigError
 from shes.options import subclass_of
 from shes.registry import Registry
@@ -86,9 +86,7 @@ class HeadingVectorOutput(VectorOutput):
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return `output` times the goal distance, rotated by the heading."""
-        vector = super().vector(output, heading, goal_distance)
-        ahead, left, cosine, sine = vector[:, 0], vector[:, 1], np.cos(heading), np.sin(heading)
-        return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
+        return turned_back(super().vector(output, heading, goal_distance), -heading)
 
 
 class DirectionOutput(VectorOutput):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -52,8 +52,8 @@ def aligned_rows(rows: int, columns: int) -> F32Array:
 class MLP:
     """A network's layer sizes. Its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
 
-    hidden_activation: ClassVar[str] = "tanh"
-    """Activation of the hidden layers, for an exported agent. The output layer always has tanh."""
+    hidden_activation: ClassVar[Literal["tanh", "relu"]] = "tanh"
+    """Activation of the hidden layers, `tanh` or `relu`. The output layer always has tanh."""
     is_tied: ClassVar[bool] = False
     """Whether weights share parameters, so that `expand` has to be called before `layers`."""
 
@@ -103,54 +103,38 @@ class MLP:
         """Return the outputs [P, R, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, R, O]."""
         return self.forward(self.layers(self.expand(theta)), observation)
 
-    @staticmethod
-    def activate(layer: F32Array) -> None:
-        """Apply the activation of the hidden layers to `layer`, in place."""
-        np.tanh(layer, out=layer)
+    def forward(self, layers: Layers, observation: F32Array, mean: Layers = (), rows: Rows = ()) -> F32Array:
+        """Return the outputs [P, R, A] of policies on normalised `observation` [P, R, O].
 
-    def forward(self, layers: Layers, observation: F32Array) -> F32Array:
-        """Return the outputs [P, R, A] of policies with these `layers`; see `act`."""
-        layer, last = observation, len(layers) - 1
-        for i, (weights, biases) in enumerate(layers):
-            layer = layer @ weights
-            layer += biases
-            if i < last:
-                self.activate(layer)
-        return np.tanh(layer, out=layer)
-
-    def forward_around(self, mean: Layers, noise: Layers, rows: Rows, observation: F32Array) -> F32Array:
-        """Return the outputs [P, R, A] of policies `mean + scale * noise` on normalised `observation` [P, R, O].
-
-        The R rows of a lane share a noise vector, which is read once for all of them: `x (W + s N) = x W + s (x N)`.
-        With few rows, a matmul with separate weights for each policy would be limited by memory bandwidth.
+        The R rows of a lane may share noise N, which is read once for all of them: `x (W + s N) = x W + s (x N)`. With
+        few rows, a matmul with separate weights for each policy would be limited by memory bandwidth.
 
         Args:
-            mean: Layers of one policy, P = 1.
-            noise: Layers of the P noise vectors.
-            rows: Scale and biases of each row.
+            layers: Layers of the P policies, or noise vectors.
             observation: Normalised observation of each row.
+            mean: Layers of the one policy to which noise is added.
+            rows: Scale of the noise, and biases, of each row. Empty if `layers` are those of policies.
         """
-        layer, last = observation, len(mean) - 1
-        for i, ((weights, _), (noise_weights, _), (scale, biases)) in enumerate(zip(mean, noise, rows, strict=True)):
-            perturbed = layer @ noise_weights
-            perturbed *= scale
-            perturbed += layer @ weights
-            perturbed += biases
-            layer = perturbed
-            if i < last:
-                self.activate(layer)
-        return np.tanh(layer, out=layer)
+        layer, last = observation, len(layers) - 1
+        for i, (weights, biases) in enumerate(layers):
+            outputs = layer @ weights
+            if rows:
+                scale, biases = rows[i]  # noqa: PLW2901
+                outputs *= scale
+                outputs += layer @ mean[i][0]
+            outputs += biases
+            layer = outputs
+            if i < last and self.hidden_activation == "relu":
+                np.maximum(layer, 0, out=layer)
+            else:
+                np.tanh(layer, out=layer)
+        return layer
 
 
 class RectifiedMLP(MLP):
     """A network with rectified linear units (ReLU) in its hidden layers. Source: Fujimoto et al. 2018 (TD3)."""
 
     hidden_activation = "relu"
-
-    @staticmethod
-    def activate(layer: F32Array) -> None:
-        """Replace negative values of `layer` by 0, in place."""
-        np.maximum(layer, 0, out=layer)
 
 
 class LevelPolicies:
@@ -186,9 +170,7 @@ class LevelPolicies:
         self._layers = network.layers(self._weights)
         self._mean = self._zero_parameters(1, network.num_weights)
         self._mean_layers = network.layers(self._mean)
-        self._rows: Rows | None = None
-        if shares_noise:
-            self._rows = tuple((zeros(size), zeros(size)) for size in network.sizes[1:])
+        self._rows: Rows = tuple((zeros(size), zeros(size)) for size in network.sizes[1:]) if shares_noise else ()
         self._normalisation: tuple[Any, Any] = (0.0, 1.0)
         self.moments = Moments.zeros(num_lanes * rows_per_lane, network.sizes[0], xp)
         self.is_recording = False
@@ -198,7 +180,7 @@ class LevelPolicies:
         """Normalise inputs as `level` does, and set the mean to which shared noise is added to its parameters."""
         xp = self._xp
         self._normalisation = xp.asarray(level.mean), xp.asarray(level.inverse_std)
-        if self._rows is not None:
+        if self._rows:
             self._mean[:] = self._network.expand(xp.asarray(level.theta)[None], xp)
             self._mean_layers = self._contiguous(self._mean)
 
@@ -209,7 +191,7 @@ class LevelPolicies:
             self._weights[lanes] = self._network.expand(self.theta[lanes], self._xp)
         if self._xp is not np:
             self._layers = self._contiguous(self._weights)
-        layers = zip(self._rows or (), self._mean_layers, self._layers, strict=False)
+        layers = zip(self._rows, self._mean_layers, self._layers, strict=False)
         for (scales, biases), (_, mean), (_, noise) in layers:
             scales[lanes] = self.scale[lanes]
             biases[lanes] = self.scale[lanes] * noise[lanes] + mean
@@ -225,7 +207,14 @@ class LevelPolicies:
         if self.is_recording:
             self.moments.add(rows, inputs)
         scaled = normalise(inputs, *self._normalisation, self._clip)
-        output = self._forward(scaled.reshape(-1, self._rows_per_lane, scaled.shape[1]), lanes)
+        layers, each_row = self._layers, self._rows
+        if not isinstance(lanes, slice):
+            # Each row on a cache line, as in theta: the place of a policy must not change its rounding.
+            own = np.take(self._weights, lanes, axis=0, out=aligned_rows(len(lanes), self._weights.shape[1]))
+            layers = self._network.layers(own)
+            each_row = tuple((scales[lanes], biases[lanes]) for scales, biases in each_row)
+        observation = scaled.reshape(-1, self._rows_per_lane, scaled.shape[1])
+        output = self._network.forward(layers, observation, self._mean_layers, each_row)
         output *= self._limit
         if noise is not None:
             output += noise[lanes]
@@ -233,20 +222,7 @@ class LevelPolicies:
 
     def is_finite(self, lane: int) -> bool:
         """Return whether all parameters of a lane are finite."""
-        own = self._weights[lane] if self._rows is None else self._weights[lane] + self._mean[0]
-        return bool(np.isfinite(own).all())
-
-    def _forward(self, observation: F32Array, lanes: slice | IntArray) -> F32Array:
-        """Return the outputs of the policies in `lanes` for normalised `observation` [lanes, R, O]."""
-        layers, rows = self._layers, self._rows
-        if not isinstance(lanes, slice):
-            # Each row on a cache line, as in theta: the place of a policy must not change its rounding.
-            own = np.take(self._weights, lanes, axis=0, out=aligned_rows(len(lanes), self._weights.shape[1]))
-            layers = self._network.layers(own)
-            rows = rows and tuple((scales[lanes], biases[lanes]) for scales, biases in rows)
-        if rows is None:
-            return self._network.forward(layers, observation)
-        return self._network.forward_around(self._mean_layers, layers, rows, observation)
+        return bool(np.isfinite(self._weights[lane] + self._mean[0]).all())  # the mean is 0 without shared noise
 
     def _zero_parameters(self, rows: int, size: int) -> F32Array:
         return aligned_rows(rows, size) if self._xp is np else self._xp.zeros((rows, size), np.float32)

@@ -145,6 +145,13 @@ class EgocentricView(View):
         return {"kind": "egocentric", **own, "qpos": qpos, "qvel": qvel, "columns": others}
 
 
+def turned_back(vector: F64Array, angle: F64Array) -> F64Array:
+    """Return `vector` [N, 2] rotated by minus `angle` [N]: from the world frame to the frame of a heading."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vector[:, 0], vector[:, 1]
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
+
+
 def sector_directions(num_sectors: int) -> tuple[F64Array, F64Array]:
     """Return x (ahead) and y (left) of the directions to the middles of sectors, the first of which begins behind."""
     middle = (np.arange(num_sectors) + 0.5) * (2 * np.pi / num_sectors) - np.pi
@@ -190,10 +197,8 @@ class SectorsView(View):
         np.multiply(squares, squares, out=out[:, num_readings : 2 * num_readings])
         vectors = out[:, 2 * num_readings :].reshape(len(out), -1, self.num_sectors)
         vectors[:, 0] = self._ahead
-        cosine, sine = np.cos(heading), np.sin(heading)
         for number, (name, columns) in enumerate(self.vectors.items(), 1):
-            x, y = (observation[:, column] / self.units[name] for column in columns)
-            ahead, left = cosine * x + sine * y, cosine * y - sine * x
+            ahead, left = turned_back(observation[:, columns] / self.units[name], heading).T
             vectors[:, number] = ahead[:, None] * self._ahead + left[:, None] * self._left
         out[:, 2 * num_readings :] = vectors.reshape(len(out), -1)
         return heading
@@ -236,20 +241,16 @@ def proprioception(task: EpisodeBatch) -> View:
     return ColumnsView(task.proprioception.tolist())
 
 
-def egocentric(task: EpisodeBatch) -> View | str:
+def egocentric(task: EpisodeBatch, others: Sequence[int] = ()) -> View | str:
     """The robot's state in its own frame, without its position."""
-    return _egocentric(task, ())
+    if task.robot is None or not task.robot.egocentric:
+        return "which has no egocentric view"
+    return EgocentricView(task.robot, task.proprioception.tolist(), others)
 
 
 def egocentric_and_others(task: EpisodeBatch) -> View | str:
     """The robot's state in its own frame, then the rest of the observation."""
-    return _egocentric(task, _others(task))
-
-
-def _egocentric(task: EpisodeBatch, others: Sequence[int]) -> View | str:
-    if task.robot is None or not task.robot.egocentric:
-        return "which has no egocentric view"
-    return EgocentricView(task.robot, task.proprioception.tolist(), others)
+    return egocentric(task, _others(task))
 
 
 def sectors(task: EpisodeBatch) -> View | str:

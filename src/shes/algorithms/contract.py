@@ -64,7 +64,7 @@ class Problem(EpisodeSetup):
         """Return the design of an agent with a single policy without goals, with these hidden layers."""
         task = self.sample()
         policy = MLP(task.observation_size, hidden, task.action_size)
-        return FlatDesign(policy=policy, control_limit=task.control_limit)
+        return FlatDesign(networks={"policy": policy}, control_limit=task.control_limit)
 
 
 class LevelTransfer(ABC):
@@ -251,9 +251,7 @@ class Algorithm(ABC, Generic[StateT]):
     @cached_property
     def table(self) -> NoiseTable:
         """The shared noise table. Opened on first use, because an agent that only acts needs none."""
-        table = NoiseTable.open(self.problem.noise_table_size)
-        table.check_dim(max(self.design.dims))
-        return table
+        return NoiseTable.open(self.problem.noise_table_size, max(self.design.dims))
 
     @abstractmethod
     def start(self, seed: int) -> StateT:

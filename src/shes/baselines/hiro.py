@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.agents.agent import AgentBatch, AgentDesign, AgentInputs
-from shes.agents.mlp import MLP, RectifiedMLP
+from shes.agents.mlp import RectifiedMLP
 from shes.agents.views import ColumnsView
 from shes.algorithms.contract import Problem
 from shes.baselines.collector import Collector, Step, as_float32
@@ -37,7 +37,8 @@ class _HiroAgent(AgentBatch["HiroDesign"]):
     transition h(s, g, s') = s + g - s'.
     """
 
-    def allocate(self) -> None:
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         design, rows, xp = self.design, self.num_rows, self.xp
         self._limit = xp.asarray(design.half_range)
         self._target: F64Array = xp.zeros((rows, design.decision_size))
@@ -66,47 +67,20 @@ class HiroDesign(AgentDesign):
     """Design of HIRO's agent.
 
     A goal is the change of the first of the robot's own coordinates. The primitive observes the goal, seen from the
-    current state, and then its view.
+    current state, and then its view. A rollout does not compute its intrinsic reward, which depends on all coordinates
+    of a goal, and adds no exploration noise.
     """
 
     agent = _HiroAgent
-    controller: RectifiedMLP
-    primitive: RectifiedMLP
     primitive_view: ColumnsView
     half_range: tuple[float, ...]
     """Largest goal in each coordinate [G], in metres and radians."""
     columns: tuple[int, ...] | None
     """Indices of the coordinates in the observation; None for the position of an environment that observes none."""
 
-    @property
-    def networks(self) -> dict[str, MLP]:
-        """The network of each level by name."""
-        return {"controller": self.controller, "primitive": self.primitive}
-
-    @property
-    def controller_view(self) -> ColumnsView:
-        """The view of the controller, which sees the whole observation."""
-        return ColumnsView()
-
-    @property
-    def intrinsic_level(self) -> None:
-        """None: a rollout does not compute the intrinsic reward, which depends on all coordinates of a goal."""
-        return
-
-    @property
-    def decision_size(self) -> int:
-        """Number of coordinates of a goal. Exploration noise is not added in a rollout, but where the agent learns."""
-        return len(self.half_range)
-
     def coordinates(self, observation: F64Array, position: F64Array) -> F64Array:
         """Return the coordinates [N, G] of robots with these observations [N, O] and positions [N, 2], a copy."""
         return position.copy() if self.columns is None else observation[:, list(self.columns)]
-
-    def direction_outputs(self, angles: F64Array) -> F64Array:
-        """Return the outputs [K, G] for goals in directions `angles` [K] in the world; only x and y are to change."""
-        outputs = np.zeros((len(angles), self.decision_size))
-        outputs[:, 0], outputs[:, 1] = np.cos(angles), np.sin(angles)
-        return outputs
 
     def exported(self) -> dict[str, Any]:
         """Return how often a goal is set, and the coordinates that it concerns."""
@@ -225,8 +199,11 @@ class HIRO(TD3):
         time = [i for i, name in enumerate(task.observation_names) if name == "time"]
         seen = [i for i in (*task.proprioception.tolist(), *time) if i not in task.position_columns]
         return HiroDesign(
-            controller=RectifiedMLP(task.observation_size, own.hidden, len(half_range)),
-            primitive=RectifiedMLP(len(half_range) + len(seen), own.hidden, task.action_size),
+            networks={
+                "controller": RectifiedMLP(task.observation_size, own.hidden, len(half_range)),
+                "primitive": RectifiedMLP(len(half_range) + len(seen), own.hidden, task.action_size),
+            },
+            controller_view=ColumnsView(),
             primitive_view=ColumnsView(seen),
             half_range=half_range,
             columns=tuple(task.proprioception[: len(half_range)].tolist()) if task.robot else None,
@@ -238,7 +215,7 @@ class HIRO(TD3):
     def make_levels(self) -> tuple[Level, ...]:
         """Return the controller and the primitive."""
         design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
-        goals = self.problem.settings.goals
+        goals, primitive = self.problem.settings.goals, design.networks["primitive"]
         controller = self.make_level(
             "controller",
             design.half_range,
@@ -246,8 +223,8 @@ class HIRO(TD3):
             goal=(size,),
             change=(size,),
             moved=(interval, size),
-            view=(interval, design.primitive.sizes[0] - size),
-            actions=(interval, design.primitive.sizes[-1]),
+            view=(interval, primitive.sizes[0] - size),
+            actions=(interval, primitive.sizes[-1]),
             is_step=(interval,),
         )
         return replace(controller, update_interval=goals.controller_update_interval), *super().make_levels()

@@ -75,7 +75,7 @@ class TD3(Algorithm[TD3State]):
         """Return the design of the agents; raise ConfigError if TD3 cannot learn in this problem."""
         task, own = check_problem(problem), problem.settings.learner
         policy = RectifiedMLP(task.observation_size, own.hidden, task.action_size)
-        return FlatDesign(policy=policy, control_limit=task.control_limit, input_clip=own.input_clip)
+        return FlatDesign(networks={"policy": policy}, control_limit=task.control_limit, input_clip=own.input_clip)
 
     def make_levels(self) -> tuple[Level, ...]:
         """Return the levels, controller first: here that alone which acts every step."""

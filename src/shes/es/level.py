@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from shes.errors import PolicyError
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.shaping import CentredRanks, FitnessShaping
@@ -89,11 +90,18 @@ class UpdateRule:
     def shape(self, fitness: F64Array, signs: NDArray[np.int8], falls: F64Array | None = None) -> F64Array:
         """Return the shaped fitness [n'] of the members that perturb a level, given the signs [G, M] of all.
 
-        `fitness` [n] and the mean number of `falls` [n] are those of all members.
+        `fitness` [n] and the mean number of `falls` [n] are those of all members. Raise PolicyError unless every
+        fitness is finite.
         """
         active = select_fitness(fitness, signs)
         if not len(active):
             return active
+        if not np.isfinite(active).all():
+            member = int(np.flatnonzero(~np.isfinite(fitness))[0])
+            raise PolicyError(
+                f"the fitness of member {member} is {fitness[member]}, but every fitness must be finite. "
+                "Check the reward that it comes from."
+            )
         shaped = self.shaping(active)
         if self.fall_price and falls is not None:
             own = select_fitness(falls, signs)

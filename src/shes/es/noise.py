@@ -98,21 +98,19 @@ class NoiseTable:
         """Return the noise vector [dim] that starts at `index`, as a view."""
         return self.values[index : index + dim]
 
-    def check_dim(self, dim: int) -> None:
-        """Raise ConfigError unless the table holds at least `2 * dim` normals, for vectors of `dim` parameters."""
-        if self.size < 2 * dim:
-            raise ConfigError(
-                f"noise_table_size is {self.size:,}, but a level has {dim:,} parameters and needs at least "
-                f"{2 * dim:,}. Raise --noise-table-size."
-            )
-
     @classmethod
     @checked
-    def open(cls, size: Annotated[int, Ge(1), Shown(flag="--noise-table-size")]) -> NoiseTable:
+    def open(cls, size: Annotated[int, Ge(1), Shown(flag="--noise-table-size")], dim: int = 0) -> NoiseTable:
         """Open the cached table of `size` normals. If its file is missing or damaged, generate it first.
 
-        Raise ConfigError if the table fits neither the memory nor the disk, StorageError if it cannot be written.
+        Raise ConfigError if the table has less than twice the `dim` normals of a noise vector, or fits neither the
+        memory nor the disk; StorageError if it cannot be written.
         """
+        if size < 2 * dim:
+            raise ConfigError(
+                f"noise_table_size is {size:,}, but a level has {dim:,} parameters and needs at least {2 * dim:,}. "
+                "Raise --noise-table-size."
+            )
         path = _path(size)
         remove_abandoned(path.parent, "noise-*")  # of tables of any size, whose builders were killed
         if not _is_intact(path, size):

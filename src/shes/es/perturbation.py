@@ -50,11 +50,6 @@ MIRRORINGS: Registry[Mirroring] = Registry(
 """Mirrorings by name: the choices of `--mirrored`."""
 
 
-def sign_matrix(mirrored: str, num_levels: int) -> NDArray[np.int8]:
-    """Return the signs [M, L] of one group, each +1 or -1; raise UnknownNameError unless `mirrored` is known."""
-    return np.array(MIRRORINGS.find(mirrored)(num_levels), dtype=np.int8)
-
-
 Perturbation: TypeAlias = Callable[[int, Sequence[int]], Sequence[Sequence[int]]]
 """A function of the number of updates so far and the levels that learn.
 
@@ -98,21 +93,11 @@ def member_signs(
         learns: Whether each level learns. A level that does not is never perturbed.
         generation: Number of updates so far.
     """
-    check_population_size(perturbation, mirrored, population_size, learns)
     parts = PERTURBATIONS.find(perturbation)(generation, np.flatnonzero(learns).tolist())
-    rows = sign_matrix(mirrored, len(parts[0]))
-    signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)
-    for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
-        part[:, :, levels] = rows
-    return signs
-
-
-def check_population_size(perturbation: str, mirrored: str, population_size: int, learns: Sequence[bool]) -> None:
-    """Raise ConfigError unless the members fill whole groups; see `member_signs`."""
-    parts = PERTURBATIONS.find(perturbation)(0, np.flatnonzero(learns).tolist())
-    levels, members = len(parts[0]), len(sign_matrix(mirrored, len(parts[0])))
-    whole, perturbed = members * len(parts), f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
+    levels, rows = len(parts[0]), MIRRORINGS.find(mirrored)(len(parts[0]))
+    members, whole = len(rows), len(rows) * len(parts)
     if population_size <= 0 or population_size % whole:
+        perturbed = f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
         group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
         if len(parts) > 1:
             group = f"a group of {members} with {mirrored!r} mirroring for each level that learns"
@@ -121,3 +106,7 @@ def check_population_size(perturbation: str, mirrored: str, population_size: int
             f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
             f"Set --population-size {lower} or {lower + whole}."
         )
+    signs = np.zeros((population_size // members, members, len(learns)), dtype=np.int8)
+    for own, part in zip(parts, np.split(signs, len(parts)), strict=True):
+        part[:, :, own] = rows
+    return signs

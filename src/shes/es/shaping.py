@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shes.errors import ConfigError, PolicyError
+from shes.errors import ConfigError
 from shes.options import subclass_of
 from shes.registry import Registry
 from shes.types import F64Array, IntArray
@@ -23,10 +23,7 @@ class FitnessShaping(ABC):
 
     @abstractmethod
     def __call__(self, fitness: F64Array) -> F64Array:
-        """Return the shaped fitness [n] of `fitness` [n]: a new array that sums to zero, all zeros for n = 1.
-
-        Raise PolicyError unless every fitness is finite.
-        """
+        """Return the shaped fitness [n] of finite `fitness` [n]: a new array that sums to zero, all zeros for n = 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +37,6 @@ class CentredRanks(FitnessShaping):
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
-        _check_finite(fitness)
         return _centred(_mean_ranks(fitness) - 1)
 
 
@@ -53,7 +49,6 @@ class IndexedRanks(FitnessShaping):
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
-        _check_finite(fitness)
         return _centred(np.argsort(np.argsort(fitness, kind="stable")))
 
 
@@ -70,7 +65,6 @@ class PairRanks(FitnessShaping):
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return plus and minus half of the pair's weight for the members of each pair [n], an even number."""
-        _check_finite(fitness)
         if len(fitness) % 2:
             raise ConfigError(f"pair_rank needs pairs, but there are {len(fitness)} members. Set --mirrored pair.")
         difference = fitness[0::2] - fitness[1::2]
@@ -87,15 +81,6 @@ def _mean_ranks(values: F64Array) -> F64Array:
 def _centred(ranks: F64Array | IntArray) -> F64Array:
     """Return `ranks` from 0 to n - 1 [n] on a scale from -0.5 to 0.5."""
     return ranks / (len(ranks) - 1) - 0.5 if len(ranks) > 1 else np.zeros(1)
-
-
-def _check_finite(fitness: F64Array) -> None:
-    if not np.isfinite(fitness).all():
-        member = int(np.flatnonzero(~np.isfinite(fitness))[0])
-        raise PolicyError(
-            f"the fitness of member {member} is {fitness[member]}, but every fitness must be finite. "
-            "Check the reward that it comes from."
-        )
 
 
 FITNESS_SHAPINGS: Registry[type[FitnessShaping]] = Registry(

@@ -13,7 +13,7 @@ from typing import Any
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.equivariant import EquivariantMLP, sector_actions
-from shes.agents.goal_agent import Controller, GoalDesign
+from shes.agents.goal_agent import GoalDesign
 from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, SectorOutput
 from shes.agents.mlp import MLP
 from shes.agents.rewards import PRIMITIVE_REWARDS
@@ -33,7 +33,7 @@ def flat_design(problem: Problem) -> FlatDesign:
     clock = _clock(settings, task)
     inputs = (clock.size if clock else 0) + task.observation_size
     policy = MLP(inputs, settings.networks.hidden, task.action_size)
-    return FlatDesign(policy=policy, control_limit=task.control_limit, clock=clock)
+    return FlatDesign(networks={"policy": policy}, control_limit=task.control_limit, clock=clock)
 
 
 def goal_design(problem: Problem) -> GoalDesign:
@@ -46,9 +46,8 @@ def goal_design(problem: Problem) -> GoalDesign:
     task.check_position()
     encoding, view = make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
     inputs = encoding.size + (clock.size if clock else 0) + view.size(task.observation_size)
-    return GoalDesign(
-        controller=None if is_alone(settings) else _controller(settings, task),
-        primitive=MLP(inputs, _primitive_layers(settings), task.action_size),
+    design = GoalDesign(
+        networks={"primitive": MLP(inputs, _primitive_layers(settings), task.action_size)},
         primitive_view=view,
         symmetry=_symmetry(settings, task),
         goal_encoding=encoding,
@@ -57,17 +56,20 @@ def goal_design(problem: Problem) -> GoalDesign:
         control_limit=task.control_limit,
         clock=clock,
     )
+    return design if is_alone(settings) else _with_controller(design, settings, task)
 
 
 def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
     """Return the design of the agents in branches under a controller, or None if there are no such branches."""
-    if not (is_branched(settings) or explores(settings)) or not isinstance(design, GoalDesign) or not design.controller:
+    if not (is_branched(settings) or explores(settings)) or not isinstance(design, GoalDesign) or is_alone(settings):
         return None
-    goals = settings.estimate.intervals if is_branched(settings) else 1
-    return replace(design, controller=None, num_recorded_goals=goals)
+    goals, networks = settings.estimate.intervals if is_branched(settings) else 1, dict(design.networks)
+    del networks["controller"]
+    return replace(design, networks=networks, controller_view=None, controller_output=None, num_recorded_goals=goals)
 
 
-def _controller(settings: Any, task: EpisodeBatch) -> Controller:
+def _with_controller(design: GoalDesign, settings: Any, task: EpisodeBatch) -> GoalDesign:
+    """Return `design` with a controller above its primitive."""
     hierarchy, hidden, view = settings.hierarchy, settings.networks.hidden, _controller_view(settings, task)
     output = make(CONTROLLER_OUTPUTS, hierarchy.controller_output, settings.values)
     if hierarchy.controller_network == "equivariant":
@@ -77,10 +79,11 @@ def _controller(settings: Any, task: EpisodeBatch) -> Controller:
         network: MLP = EquivariantMLP([sector_actions(view.num_sectors, count) for count in channels])
     else:
         network = MLP(view.size(task.observation_size), hidden, output.size)
-    return Controller(
-        network=network,
-        output=output,
-        view=view,
+    return replace(
+        design,
+        networks={"controller": network, **design.networks},
+        controller_view=view,
+        controller_output=output,
         goal_distance=hierarchy.goal_distance,
         has_minimum_goal_distance=hierarchy.minimum_goal_distance,
     )

@@ -13,7 +13,7 @@ from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import check_population_size, sign_matrix
+from shes.es.perturbation import MIRRORINGS, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate
 from shes.evolution.evolution_settings import HierarchySettings
@@ -145,14 +145,14 @@ def check_together(settings: Any) -> None:
 def _check_population(settings: Any) -> None:
     """Check that the population consists of whole mirrored groups, and fits the shaping."""
     evolution, levels = settings.evolution, by_episodes(settings)
-    members = len(sign_matrix(evolution.mirrored, max(1, sum(levels))))
+    members = len(MIRRORINGS.find(evolution.mirrored)(max(1, sum(levels))))
     if evolution.fitness_shaping == "pair_rank" and members != 2:
         raise ConfigError(
             f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {evolution.mirrored!r} a group "
             f"has {members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
         )
     perturbation = settings.values.get("perturbation", HierarchySettings.perturbation)
-    check_population_size(perturbation, evolution.mirrored, evolution.population_size, levels)
+    member_signs(perturbation, evolution.mirrored, evolution.population_size, levels, 0)  # checks that groups are whole
 
 
 def _check_frames(settings: Any) -> None:

@@ -50,8 +50,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""
         networks, search, levels = self.problem.settings.networks, self.hyperparameters.search, list[LevelState]()
-        parts = zip(self.design.level_names, self.design.policies, self.hyperparameters.updates, strict=True)
-        for number, (name, policy, rule) in enumerate(parts):
+        parts = zip(self.design.networks.items(), self.hyperparameters.updates, strict=True)
+        for number, ((name, policy), rule) in enumerate(parts):
             rng = stream(seed, Purpose.INITIAL_PARAMETERS, number)
             theta = policy.initial(rng, networks.biases, networks.output_weights)
             levels.append(LevelState.start(name, theta, rule.optimizer, policy.sizes[0]))

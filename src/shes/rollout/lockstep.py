@@ -116,7 +116,7 @@ class Rollout:
         self.horizon, self.design = horizon, design
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
-        self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
+        self.agent = design.agent(design, num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
         rows = num_lanes * rows_per_lane
         self._exploration = Exploration(self.agent, horizon, self.batch.action_size)
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
@@ -220,7 +220,7 @@ class Rollout:
         batch.step(self._running, action)
         self._steps += 1  # rows that are not running are ignored
         stepped = perf_counter()
-        if self.design.intrinsic_level is not None:
+        if self.design.has_intrinsic_reward:
             # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
             self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
         paid = perf_counter()
@@ -284,8 +284,8 @@ class Rollout:
         outcomes["steps"] = self._steps[rows]
         outcomes["environment_returns"] += reward_after_end[:, 0] * (self.horizon - self._steps[rows])
         outcomes["returns"] = outcomes["environment_returns"][:, None]
-        if self.design.intrinsic_level is not None:
-            outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]
+        if self.design.has_intrinsic_reward:
+            outcomes["returns"][:, -1] = intrinsic_return[:, 0]
         moments = [
             tuple(to_host(sums[ids]) for sums in (own.moments.count, own.moments.total, own.moments.total_squares))
             for own in agent.levels
@@ -300,7 +300,7 @@ class Rollout:
             place, slot = divmod(row, self.rows_per_lane)
             lane = self._lanes[place]
             assert lane is not None
-            levels = zip(self.design.level_names, self.agent.levels, strict=True)
+            levels = zip(self.design.networks, self.agent.levels, strict=True)
             seed = lane.task.seeds[lane.task.slots.index(slot)]
             which = " and ".join(name for name, level in levels if not level.is_finite(place))
             member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)

@@ -118,8 +118,8 @@ def evaluate_state(
     number of rows of a policy's matmul in training, so that results do not depend on the distribution of the blocks.
     Of the constant controllers, the one with the highest mean score counts, then mean return; of equal ones, the first.
     """
-    parameters, rows, names = algorithm.parameters(state), algorithm.episodes_in_lockstep, algorithm.design.level_names
-    zeros, found = (0,) * len(names), list[Evaluation]()
+    parameters, rows, design = algorithm.parameters(state), algorithm.episodes_in_lockstep, algorithm.design
+    zeros, found = (0,) * len(parameters), list[Evaluation]()
     tasks = [
         EpisodeTask(
             member=number,
@@ -134,17 +134,17 @@ def evaluate_state(
     for name, decisions in _DECISIONS[controller].items():
         levels = parameters
         if decisions is not None:  # a network with parameters of 0 returns 0
-            pairs = zip(names, parameters, strict=True)
+            pairs = zip(design.networks, parameters, strict=True)
             levels = tuple(level.at_zero() if own == "controller" else level for own, level in pairs)
         generation = Generation(
             levels=levels, sigma=0.0, episodes_per_policy=rows, kind="evaluation", decisions=decisions
         )
         results = roll_out_tasks(tasks, generation, backend)
-        found.append(replace(_evaluation(results, len(seeds), algorithm.design.intrinsic_level), controller=name))
+        found.append(replace(_evaluation(results, len(seeds), is_paid=design.has_intrinsic_reward), controller=name))
     return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
 
 
-def _evaluation(results: PopulationResults, count: int, primitive: int | None) -> Evaluation:
+def _evaluation(results: PopulationResults, count: int, *, is_paid: bool) -> Evaluation:
     """Return the first `count` episodes of `results`: the last block may be shorter, with unused slots at its end."""
 
     def column(values: np.ndarray) -> F64Array:
@@ -154,7 +154,7 @@ def _evaluation(results: PopulationResults, count: int, primitive: int | None) -
     return Evaluation(
         scores=lower_diverged(column(results.score), has_diverged),
         returns=lower_diverged(column(results.environment_returns), has_diverged),
-        primitive_returns=None if primitive is None else column(results.returns[primitive]),
+        primitive_returns=column(results.returns[-1]) if is_paid else None,
         goals_reached=column(results.goals_reached),
         successes=column(results.success),
         steps=column(results.steps),

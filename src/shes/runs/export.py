@@ -64,9 +64,9 @@ def export(
     if folder.name == "checkpoints" and (folder.parent / "config.json").exists():
         raise ConfigError(f"{path} would be among the checkpoints of a run, as which it cannot be read. Set --out.")
     opened = open_run(run, checkpoint)
-    design, parameters = opened.algorithm.design, opened.algorithm.parameters(opened.state)
-    levels = zip(design.level_names, design.policies, parameters, strict=True)
-    return FORMATS[format](path, describe(opened), {name: (policy, own) for name, policy, own in levels})
+    parameters = opened.algorithm.parameters(opened.state)
+    levels = zip(opened.algorithm.design.networks.items(), parameters, strict=True)
+    return FORMATS[format](path, describe(opened), {name: (policy, own) for (name, policy), own in levels})
 
 
 def describe(run: OpenedRun) -> dict[str, Any]:
@@ -74,14 +74,13 @@ def describe(run: OpenedRun) -> dict[str, Any]:
     design, settings = run.algorithm.design, run.config.values
     task, clock = run.algorithm.problem.sample(), design.clock
     control_map = None if task.robot is None else task.robot.control_map
-    layers = {name: len(policy.sizes) - 1 for name, policy in zip(design.level_names, design.policies, strict=True)}
     found: dict[str, Any] = {
         "format": _FORMAT,
         "shes": version("shes"),
         "env": run.config.run.env,
         "generation": run.state.generation,
-        "levels": list(design.level_names),
-        "num_layers": layers,
+        "levels": list(design.networks),
+        "num_layers": {name: len(network.sizes) - 1 for name, network in design.networks.items()},
         "observation": list(task.observation_names),
         "action": _action(task),
         "hidden_activation": design.policies[-1].hidden_activation,
@@ -104,14 +103,14 @@ def describe(run: OpenedRun) -> dict[str, Any]:
             "goal_encoding": settings["goal_encoding"],
             **_frames(design.symmetry or dihedral_group(1, own, own, is_mirrored=False)),
         }
-    if isinstance(design, GoalDesign) and design.controller is not None:
-        boss = design.controller
+    if isinstance(design, GoalDesign) and design.controller_view is not None:
+        network = design.networks["controller"]
         found["controller"] = {
-            "view": boss.view.to_dict(),
+            "view": design.controller_view.to_dict(),
             "output": settings["controller_output"],
-            "num_sectors": boss.output.size if boss.network.is_tied else 0,
-            "goal_distance_m": boss.goal_distance,
-            "min_component_m": float(MIN_COMPONENT_M) if boss.has_minimum_goal_distance else 0.0,
+            "num_sectors": network.sizes[-1] if network.is_tied else 0,
+            "goal_distance_m": design.goal_distance,
+            "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
         }
     return found
 

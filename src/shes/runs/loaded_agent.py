@@ -50,9 +50,9 @@ class Agent:
         task = algorithm.problem.make_task(is_evaluation=True)
         self._reader, self.observation_size = task.reader, task.observation_size
         task.close()
-        self._levels = dict(zip(algorithm.design.level_names, levels, strict=True))
+        self._levels = dict(zip(algorithm.design.networks, levels, strict=True))
         # One policy per environment, so that each has a clock and can be reset separately.
-        self._agent = algorithm.design.make(num_envs, 1)
+        self._agent = algorithm.design.agent(algorithm.design, num_envs, 1)
         self._agent.centre_on(levels)
         for own, level in zip(self._agent.levels, levels, strict=True):
             own.theta[:] = level.theta
