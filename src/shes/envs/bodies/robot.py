@@ -36,6 +36,7 @@ _MIN_HEIGHT = 0.5  # of the home pose, below which it has fallen
 _FREE_SERVO = 0.5  # rad or m of a position servo without any limit
 _MAX_JOINTS, _MAX_BYTES, _MAX_CLIP = 200, 200_000_000, 100.0
 _PREFIX = "robot/"
+_FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 _PHYSICS = (
     "timestep",
     "integrator",
@@ -244,7 +245,7 @@ class Robot(FreeBody):
         self.scale = float(f"{extent / ANT_EXTENT_M:.2g}")
         self.mass_kg = float(model.body_subtreemass[0])
         self.block_factor = self.mass_kg / ANT_MASS_KG
-        self.control_map = self._driven(model)
+        self.control_map, self.home_activation = self._driven(model)
 
     @classmethod
     def maker(cls, options: Settings) -> Callable[[], Body]:
@@ -338,21 +339,33 @@ class Robot(FreeBody):
             )
         return home, float((high - low).max())
 
-    def _driven(self, model: mujoco.MjModel) -> tuple[F64Array, F64Array]:
-        """Return offset and factor [A] of the actuators' controls: 0 holds the home pose, ±1 is far from it."""
+    def _driven(self, model: mujoco.MjModel) -> tuple[tuple[F64Array, F64Array], F64Array | None]:
+        """Return offset and factor [A] of the actuators' controls, and the activations of the home pose, if any.
+
+        A control of 0 holds the home pose, ±1 is far from it.
+        """
         data = mujoco.MjData(model)
         data.qpos[:] = self.home
         mujoco.mj_forward(model, data)
         pairs = [self._range(model, i, float(data.actuator_length[i])) for i in range(model.nu)]
         offset, factor = np.array(pairs).T
-        return offset, factor
+        activation = np.zeros(model.na)
+        for i in np.flatnonzero(model.actuator_actnum == 1):
+            gain, (_, stiffness, _) = model.actuator_gainprm[i, 0], model.actuator_biasprm[i, :3]
+            kind, place = model.actuator_dyntype[i], model.actuator_actadr[i]
+            if kind in _FILTERS:  # it follows the control
+                activation[place] = offset[i]
+            elif kind == mujoco.mjtDyn.mjDYN_INTEGRATOR and stiffness and gain:  # it is the position of a servo
+                activation[place] = -stiffness / gain * data.actuator_length[i]
+        return (offset, factor), activation if model.na else None
 
     def _range(self, model: mujoco.MjModel, i: int, length: float) -> tuple[float, float]:
         """Return offset and factor of actuator `i`, whose joint or tendon has this `length` at home."""
         gain, (_, stiffness, damping) = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i, :3]
         low, high = model.actuator_ctrlrange[i].tolist() if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
         has_bias = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
-        if has_bias and stiffness and gain:  # a position servo
+        is_rate = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        if has_bias and stiffness and gain and not is_rate:  # a position servo
             center, joint = -stiffness / gain * length, int(model.actuator_trnid[i, 0])
             is_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
             if not np.isfinite(low) and is_joint and model.jnt_limited[joint]:
@@ -364,7 +377,7 @@ class Robot(FreeBody):
         if not np.isfinite(low) and model.actuator_forcelimited[i] and gain:
             low, high = (model.actuator_forcerange[i] / abs(gain)).tolist()
         if not np.isfinite(low):
-            kind = "velocity servo" if has_bias and damping else "motor"
+            kind = "velocity servo" if is_rate or (has_bias and damping) else "motor"
             raise ConfigError(
                 f"actuator {self.controls[i]!r} of robot {self.name!r}, a {kind}, has no ctrlrange and no forcerange. "
                 "Give it one in the file."

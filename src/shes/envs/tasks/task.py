@@ -331,3 +331,5 @@ class Task(EpisodeBatch):
         xp, rows = self.xp, self.xp.asarray(ids)
         self.sim.qpos[rows, : robot.num_qpos] = xp.asarray(qpos)
         self.sim.qvel[rows, : robot.num_qvel] = xp.asarray(np.array([velocity for _, velocity in drawn]))
+        if robot.home_activation is not None:
+            self.sim.state_parts[4][rows] = xp.asarray(robot.home_activation)
