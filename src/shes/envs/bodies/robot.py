@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from html import unescape
 from pathlib import Path, PurePosixPath
 from typing import Annotated, NamedTuple
 
@@ -48,6 +49,9 @@ _PHYSICS = (
     "noslip_iterations",
     "gravity",
 )
+_MAX_DEPTH = 20
+_NAMING = re.compile(r"<(include|model|flexcomp)\b.*?\bfile\s*=\s*([\"'])(.*?)\2", re.DOTALL)
+"""The elements with which XML reads a file before it is checked."""
 _FIX = "Check the file with `python -m mujoco.viewer --mjcf FILE`."
 
 
@@ -113,9 +117,20 @@ def _read(path: Path, _changed: int) -> RobotFile:
 
 def _unzipped(content: bytes, path: Path) -> mujoco.MjSpec:
     try:
-        return _spec_of(content)
-    except (ValueError, OSError, zipfile.BadZipFile, mujoco.FatalError) as error:
-        raise ConfigError(f"robot {str(path)!r} cannot be read: {' '.join(str(error).split())}.") from error
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            size = sum(each.file_size for each in packed.infolist())
+            texts = [packed.read(name) for name in packed.namelist() if name.endswith(".xml") and size <= _MAX_BYTES]
+        if size > _MAX_BYTES:
+            raise ConfigError(f"it has more than {_MAX_BYTES / 1e6:.0f} MB of files")
+        if any(_NAMING.search(text.decode(errors="replace")) for text in texts):
+            raise ConfigError("its XML includes other files")
+        spec = _spec_of(content)
+        if missing := [name for name in _files(spec) if name not in spec.assets]:
+            raise ConfigError(f"it lacks the file {missing[0]!r}")
+    except (ValueError, OSError, NotImplementedError, RuntimeError, zipfile.BadZipFile, mujoco.FatalError) as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        raise ConfigError(f"robot {str(path)!r} cannot be read: {words}. Give an archive of a run folder.") from error
+    return spec
 
 
 def _from_menagerie(robot: str) -> Path:
@@ -145,27 +160,30 @@ def _parsed(path: Path) -> mujoco.MjSpec:
         _check_includes(path, path.parent)
         with warnings.catch_warnings(action="ignore"):
             spec = mujoco.MjSpec.from_file(str(path))
-            assets = dict[str, bytes]()
-            textures = [(spec.texturedir, each) for each in spec.textures]
-            for folder, each in [
-                *((spec.meshdir, each) for each in (*spec.meshes, *spec.hfields, *spec.skins)),
-                *textures,
-            ]:
-                if each.file:
-                    name = str(PurePosixPath(folder) / each.file)
-                    assets[name] = _inside(path.parent / name, path.parent).read_bytes()
-            if sum(map(len, assets.values())) > _MAX_BYTES:
-                raise ConfigError(f"robot {str(path)!r} has more than {_MAX_BYTES / 1e6:.0f} MB of files. Simplify it.")
-            spec.assets = assets
+            files = {name: _inside(path.parent / name, path.parent) for name in _files(spec)}
+        if sum(file.stat().st_size for file in files.values()) > _MAX_BYTES:
+            raise ConfigError(f"it has more than {_MAX_BYTES / 1e6:.0f} MB of files")
+        spec.assets = {name: file.read_bytes() for name, file in files.items()}
     except (ValueError, OSError, RecursionError, mujoco.FatalError) as error:
         words = " ".join(str(error).split()).rstrip(".")
         raise ConfigError(f"robot {str(path)!r} cannot be read: {words}. {_FIX}") from error
     return spec
 
 
+def _files(spec: mujoco.MjSpec) -> list[str]:
+    """Return the paths of the files that `spec` names, relative to its own folder."""
+    named = [(spec.meshdir, each.file) for each in (*spec.meshes, *spec.hfields, *spec.skins)]
+    named += [(spec.texturedir, file) for each in spec.textures for file in (each.file, *each.cubefiles)]
+    return list(dict.fromkeys(str(PurePosixPath(folder) / file) for folder, file in named if file))
+
+
 def _zipped(spec: mujoco.MjSpec) -> bytes:
-    packed = io.BytesIO()
-    spec.to_zip(packed)
+    """Return an archive of `spec` with the files that it names alone; `MjSpec.to_zip` writes all it once had."""
+    packed, names = io.BytesIO(), _files(spec)
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name in names:
+            archive.writestr(zipfile.ZipInfo(name), spec.assets[name])
+        archive.writestr(zipfile.ZipInfo("robot.xml"), spec.to_xml())
     return packed.getvalue()
 
 
@@ -186,25 +204,26 @@ def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     unused = [*spec.textures, *(mesh for mesh in spec.meshes if mesh.name not in used)]
     for part in unused:
         spec.delete(part)
-    files = {mesh.file for mesh in spec.meshes}
-    spec.assets = {name: data for name, data in spec.assets.items() if any(name.endswith(file) for file in files)}
     spec.compile()
 
 
 def _inside(file: Path, folder: Path) -> Path:
     """Return `file`; raise ConfigError if it is not in `folder` or below it, links followed."""
     if not file.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError(f"the robot names {str(file)!r}, which is not below its own folder. Copy it there.")
+        raise ConfigError(f"it names {str(file)!r}, which is not below its own folder; copy it there")
     return file
 
 
 def _check_includes(path: Path, folder: Path, depth: int = 0) -> None:
-    """Raise ConfigError if the file at `path` includes one outside `folder`, or too many inside each other."""
-    if depth > 20:
-        raise ConfigError(f"robot {str(path)!r} includes itself, or more than 20 files inside each other.")
-    text = path.read_text(encoding="utf-8", errors="replace")
-    for name in re.findall(r"<include[^>]*\bfile\s*=\s*[\"']([^\"']*)", text):
-        _check_includes(_inside(folder / name, folder), folder, depth + 1)
+    """Raise ConfigError if the file at `path` reads one outside `folder`, or too many inside each other."""
+    if depth > _MAX_DEPTH:
+        raise ConfigError(f"it includes itself, or more than {_MAX_DEPTH} files inside each other")
+    for tag, _, name in _NAMING.findall(path.read_text(encoding="utf-8", errors="replace")):
+        # MuJoCo looks in the robot's folder, and then in that of the file which names it.
+        found = [base / unescape(name) for base in (folder, path.parent)]
+        for file in {_inside(each, folder) for each in found if each.exists()}:
+            if tag != "flexcomp":
+                _check_includes(file, folder, depth + 1)
 
 
 class Robot(FreeBody):
@@ -280,6 +299,7 @@ class Robot(FreeBody):
             child.delete(key)
         for name in _PHYSICS:
             setattr(spec.option, name, getattr(child.option, name))
+        spec.assets = child.assets
         child.nkey = spec.nkey  # MuJoCo warns where the two specs differ
         child.visual.map.znear, child.visual.map.zfar = spec.visual.map.znear, spec.visual.map.zfar
         for name in dir(spec):
