@@ -23,6 +23,7 @@ from shes.envs.bodies.body import Body
 from shes.envs.bodies.free_body import FreeBody, free_elements
 from shes.errors import ConfigError
 from shes.settings import Example, Ge, Gt, Le, Settings, Shown
+from shes.sim.simulator import log_physics_warnings
 from shes.types import BoolArray, F64Array
 
 MENAGERIE = "menagerie:"
@@ -50,6 +51,7 @@ _PHYSICS = (
     "gravity",
 )
 _MAX_DEPTH = 20
+_MIN_M, _MAX_M, _MAX_KG = 0.01, 100.0, 1e5
 _NAMING = re.compile(r"<(include|model|flexcomp)\b.*?\bfile\s*=\s*([\"'])(.*?)\2", re.DOTALL)
 """The elements with which XML reads a file before it is checked."""
 _FIX = "Check the file with `python -m mujoco.viewer --mjcf FILE`."
@@ -84,7 +86,7 @@ def _spec_of(packed: bytes) -> mujoco.MjSpec:
 
 
 def read_robot(robot: str | None) -> RobotFile:
-    """Return the robot that `robot` names: a file, an archive that `save_robot` wrote, or `menagerie:NAME`."""
+    """Return the robot that `robot` names: a file, an archive of a run folder, or `menagerie:NAME`."""
     if not robot:
         raise ConfigError("which robot? Set --robot to its MJCF file, to menagerie:NAME, or to ant or point.")
     path = _from_menagerie(robot) if robot.startswith(MENAGERIE) else Path(robot).expanduser()
@@ -156,6 +158,7 @@ def _from_menagerie(robot: str) -> Path:
 
 def _parsed(path: Path) -> mujoco.MjSpec:
     """Return the spec of the file at `path` with the files that it names; raise ConfigError if it is not sound."""
+    log_physics_warnings()
     try:
         _check_includes(path, path.parent)
         with warnings.catch_warnings(action="ignore"):
@@ -195,8 +198,10 @@ def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         body.ipos, body.iquat = own.ipos, own.iquat
     for part in [*spec.sensors, *spec.skins, *spec.lights, *spec.cameras]:
         spec.delete(part)
+    wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    named = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist(), *model.wrap_objid[wraps].tolist()}
     for geom in list(spec.geoms):
-        if not geom.contype and not geom.conaffinity:
+        if not geom.contype and not geom.conaffinity and geom.id not in named:
             spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for material in spec.materials:
@@ -204,7 +209,7 @@ def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     unused = [*spec.textures, *(mesh for mesh in spec.meshes if mesh.name not in used)]
     for part in unused:
         spec.delete(part)
-    spec.compile()
+    _compiled(spec, spec.modelname)
 
 
 def _inside(file: Path, folder: Path) -> Path:
@@ -258,11 +263,21 @@ class Robot(FreeBody):
         self.pose, self.velocity, self.egocentric = free_elements(root, joints, kinds)
         self.controls = tuple(self._name(model.actuator(i).name) or f"control_{i}" for i in range(model.nu))
         self.timestep_s = float(model.opt.timestep)
-        self.frame_skip = max(1, round(self.options.control_step / self.timestep_s))
+        if not 0 < self.timestep_s <= self.options.control_step:
+            raise ConfigError(
+                f"control_step is {self.options.control_step:g} s, but the physics step of robot {self.name!r} is "
+                f"{self.timestep_s:g} s. Set --control-step to a multiple of it, or correct the file."
+            )
+        self.frame_skip = round(self.options.control_step / self.timestep_s)
         self.home, extent = self._home_pose(spec, model)
+        self.mass_kg = float(model.body_subtreemass[0])
+        if not (_MIN_M < extent < _MAX_M and 0 < self.mass_kg < _MAX_KG and np.isfinite(self.home).all()):
+            raise ConfigError(
+                f"robot {self.name!r} is {extent:.3g} m large and weighs {self.mass_kg:.3g} kg, not "
+                f"{_MIN_M:g} to {_MAX_M:g} m and up to {_MAX_KG:g} kg. Check its units: metres and kilograms."
+            )
         self._home_angles = [(9 + i, angle) for i, angle in enumerate(self.home[7:].tolist()) if angle]
         self.scale = float(f"{extent / ANT_EXTENT_M:.2g}")
-        self.mass_kg = float(model.body_subtreemass[0])
         self.block_factor = self.mass_kg / ANT_MASS_KG
         self.control_map, self.home_activation = self._driven(model)
 
@@ -279,8 +294,9 @@ class Robot(FreeBody):
             if len(spec.actuators):
                 raise ConfigError(f"robot {self.name!r} has actuators of its own. Omit --motors.")
             torque = self.options.motors
-            for joint in root.find_all("joint"):
+            for number, joint in enumerate(root.find_all("joint")):
                 if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                    joint.name = joint.name or f"joint_{number}"
                     motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
                     motor.set_to_motor()
                     motor.ctrllimited, motor.ctrlrange = True, [-torque, torque]
@@ -429,11 +445,11 @@ def _root(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
 
 def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64Array, F64Array]:
     """Return the corners [3] of a box around what collides, in the pose of `data`."""
-    collides = (model.geom_contype | model.geom_conaffinity).astype(bool) & (model.geom_bodyid > 0)
+    collides = ((model.geom_contype | model.geom_conaffinity) & 1).astype(bool) & (model.geom_bodyid > 0)
     turn = data.geom_xmat[collides].reshape(-1, 3, 3)
     centre, half = model.geom_aabb[collides, :3], model.geom_aabb[collides, 3:]
     middle = data.geom_xpos[collides] + (turn @ centre[:, :, None])[:, :, 0]
     reach = (np.abs(turn) @ half[:, :, None])[:, :, 0]
     if not len(middle):
-        raise ConfigError("nothing of the robot collides, so it falls through the floor. Give its feet geoms.")
+        raise ConfigError("nothing of the robot collides with the floor, so it falls through. Give its feet geoms of contype 1.")
     return (middle - reach).min(axis=0), (middle + reach).max(axis=0)

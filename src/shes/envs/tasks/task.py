@@ -18,7 +18,7 @@ import numpy as np
 from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.episode_batch import EpisodeBatch, Reader
 from shes.envs.worlds import ARENA, INTEGRATORS, SCALE, Grid, add_grid, empty_world
-from shes.errors import ShapeError, UnknownNameError
+from shes.errors import ConfigError, ShapeError, UnknownNameError
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Unasked
 from shes.sim.simulator import CpuSimulator, Simulator
 from shes.streams import EpisodePurpose, episode_stream
@@ -148,6 +148,8 @@ class Task(EpisodeBatch):
         self._control_map = body.control_map and tuple(self.xp.asarray(each) for each in body.control_map)
         self.observation_names = tuple(element.name for element in self.observation_spec)
         self.observation_size = len(self.observation_names)
+        if twice := next((name for name in self.observation_names if self.observation_names.count(name) > 1), None):
+            raise ConfigError(f"two observed values of {body.name}-{self.name} are named {twice!r}. Rename the joint.")
         own = [self.observation_names.index(element.name) for element in (*body.pose, *body.velocity)]
         self.proprioception, self.primitive_view = np.array(own), np.arange(self.observation_size)
         self.position_columns = self.proprioception[:2]
