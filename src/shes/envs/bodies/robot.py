@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from hashlib import sha256
 from html import unescape
 from pathlib import Path, PurePosixPath
 from typing import Annotated, NamedTuple
@@ -80,6 +81,11 @@ class RobotFile(NamedTuple):
     physics: bytes
     """What its physics needs: no shapes that only look good, and no sensors."""
 
+    @property
+    def label(self) -> str:
+        """Name, and the first digits of the SHA-256 of its content: two files of one name may be two robots."""
+        return f"{self.name} ({sha256(self.content).hexdigest()[:8]})"
+
 
 def _spec_of(packed: bytes) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_zip(io.BytesIO(packed))
@@ -94,7 +100,7 @@ def read_robot(robot: str | None) -> RobotFile:
         raise ConfigError(f"robot {robot!r} is no file. Set --robot to an MJCF file, menagerie:NAME, ant or point.")
     if path.stat().st_size > _MAX_BYTES:
         raise ConfigError(f"robot {robot!r} has {path.stat().st_size / 1e6:,.0f} MB, more than {_MAX_BYTES / 1e6:.0f}.")
-    return _read(path, path.stat().st_mtime_ns)
+    return _read(path, robot_stem(robot), path.stat().st_mtime_ns)
 
 
 def robot_stem(robot: str) -> str:
@@ -103,18 +109,18 @@ def robot_stem(robot: str) -> str:
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, _changed: int) -> RobotFile:
-    """Read the file at `path`, anew if it has changed."""
+def _read(path: Path, name: str, _changed: int) -> RobotFile:
+    """Read the robot `name` from the file at `path`, anew if that has changed."""
     if path.suffix == ".zip":
         content = path.read_bytes()
         spec = _unzipped(content, path)
-        model = _compiled(spec, path.stem)
+        model = _compiled(spec, name)
     else:
         spec = _parsed(path)
-        model = _compiled(spec, path.stem)
+        model = _compiled(spec, name)
         content = _zipped(spec)
     _reduce_to_physics(spec, model)
-    return RobotFile(path.stem, content, _zipped(spec))
+    return RobotFile(name, content, _zipped(spec))
 
 
 def _unzipped(content: bytes, path: Path) -> mujoco.MjSpec:
@@ -148,12 +154,11 @@ def _from_menagerie(robot: str) -> Path:
             f"MuJoCo Menagerie has no robot {name!r} ({error}). Its names: mujoco_menagerie.names()."
         ) from error
     try:
-        folder = found.path()
+        return found.xml()
     except (mujoco_menagerie.MenagerieError, OSError) as error:
         raise ConfigError(
             f"robot {robot!r} cannot be downloaded: {error}. Check the network, or give a file."
         ) from error
-    return folder
 
 
 def _parsed(path: Path) -> mujoco.MjSpec:
@@ -451,5 +456,5 @@ def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64Array, F64Ar
     middle = data.geom_xpos[collides] + (turn @ centre[:, :, None])[:, :, 0]
     reach = (np.abs(turn) @ half[:, :, None])[:, :, 0]
     if not len(middle):
-        raise ConfigError("nothing of the robot collides with the floor, so it falls through. Give its feet geoms of contype 1.")
+        raise ConfigError("nothing of the robot collides with the floor (contype 1). Give its feet such geoms.")
     return (middle - reach).min(axis=0), (middle + reach).max(axis=0)
