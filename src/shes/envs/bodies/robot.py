@@ -113,13 +113,12 @@ def _read(path: Path, name: str, _changed: int) -> RobotFile:
     """Read the robot `name` from the file at `path`, anew if that has changed."""
     if path.suffix == ".zip":
         content = path.read_bytes()
-        spec = _unzipped(content, path)
-        model = _compiled(spec, name)
     else:
         spec = _parsed(path)
-        model = _compiled(spec, name)
+        _compiled(spec, name)
         content = _zipped(spec)
-    _reduce_to_physics(spec, model)
+    spec = _unzipped(content, path)  # XML of MuJoCo is rounded: the physics is the same from the file and from its copy
+    _reduce_to_physics(spec, _compiled(spec, name))
     return RobotFile(name, content, _zipped(spec))
 
 
