@@ -22,9 +22,7 @@ def mjcf(*, trunk="", legs="", actuators="", before="", after="", root="<freejoi
     """Return the text of a robot: `trunk` beside its sphere, `legs`, and what stands before and after the bodies."""
     body = f'<body name="trunk" {place}>{root}<geom size=".1"/>{trunk}{legs}</body>'
     option = '<option timestep="0.005" cone="elliptic"/><default><joint armature=".02" damping=".2"/></default>'
-    return (
-        f"<mujoco>{option}{before}<worldbody>{body}</worldbody><actuator>{actuators}</actuator>{after}</mujoco>"
-    )
+    return f"<mujoco>{option}{before}<worldbody>{body}</worldbody><actuator>{actuators}</actuator>{after}</mujoco>"
 
 
 def walker(num_legs, *, actuator=MOTOR, **parts):

@@ -204,9 +204,8 @@ def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         spec.delete(part)
     wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
     named = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist(), *model.wrap_objid[wraps].tolist()}
-    for geom in list(spec.geoms):
-        if not geom.contype and not geom.conaffinity and geom.id not in named:
-            spec.delete(geom)
+    for geom in [each for each in spec.geoms if not (each.contype or each.conaffinity or each.id in named)]:
+        spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
@@ -392,7 +391,7 @@ class Robot(FreeBody):
         activation = np.zeros(model.na)
         for i in np.flatnonzero(model.actuator_actnum == 1):
             gain, (_, stiffness, _) = model.actuator_gainprm[i, 0], model.actuator_biasprm[i, :3]
-            kind, place = model.actuator_dyntype[i], model.actuator_actadr[i]
+            kind, place = mujoco.mjtDyn(model.actuator_dyntype[i]), model.actuator_actadr[i]
             if kind in _FILTERS:  # it follows the control
                 activation[place] = offset[i]
             elif kind == mujoco.mjtDyn.mjDYN_INTEGRATOR and stiffness and gain:  # it is the position of a servo
