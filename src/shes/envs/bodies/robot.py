@@ -314,8 +314,8 @@ class Robot(FreeBody):
         self._attach(self._spec(is_drawn=True), spec, ground_m)
 
     def _attach(self, child: mujoco.MjSpec, spec: mujoco.MjSpec, ground_m: float) -> None:
-        for key in list(child.keys):
-            child.delete(key)
+        for part in [*child.keys, *child.sensors, *child.lights, *child.cameras]:
+            child.delete(part)
         for name in _PHYSICS:
             setattr(spec.option, name, getattr(child.option, name))
         spec.assets = child.assets
