@@ -90,6 +90,7 @@ GROUPS = {
     "ranges that mirror": (walker(4, actuators=sides(*RANGES)), 1, True),
     "ranges that do not": (walker(4, actuators=sides(RANGES[0], RANGES[0])), 4, False),
     "ranges of two sizes": (walker(4, actuators=sides("-.6 .6", "-.3 .3")), 1, False),
+    "limits of two sizes": (walker(4, actuator=SERVO).replace('range="-40 40"', 'range="-20 20"', 1), 1, False),
     "uneven": (walker(6, trunk=UNEVEN.format(4)), 1, False),
     "hardly uneven": (walker(6, trunk=UNEVEN.format(0.001)), 6, True),
     "mass ahead": (walker(6, trunk=UNEVEN.format(4).replace(".1 .1 .1", ".2 0 .1")), 1, True),
