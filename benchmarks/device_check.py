@@ -34,10 +34,10 @@ _POLICIES = 8  # fixed policies that play the episodes of a sample in turn
 _SPREAD = 0.3  # standard deviation of their parameters: enough that some fall and some crawl
 _LANES = 128
 _MEASURES: dict[str, Callable[[EpisodeResults], float]] = {
-    "environment return": lambda result: float(result.environment_returns[0]),
-    "primitive return": lambda result: float(result.returns[-1, 0]),
-    "steps": lambda result: float(result.steps[0]),
-    "distance moved": lambda result: float(np.hypot(*result.final_position[0])),
+    "environment return": lambda result: float(result.outcomes["environment_returns"][0]),
+    "primitive return": lambda result: float(result.outcomes["returns"][0, -1]),
+    "steps": lambda result: float(result.outcomes["steps"][0]),
+    "distance moved": lambda result: float(np.hypot(*result.outcomes["final_position"][0])),
 }
 
 
@@ -104,7 +104,7 @@ def sample(
     assert isinstance(learner, EvolutionAlgorithm)
     design, plan = learner.design, learner.plan()
     levels = learner.parameters(learner.start(config.run.seed))
-    generation = Generation(levels=levels, sigma=_SPREAD, episodes_per_policy=1, is_evaluation=False)
+    generation = Generation(levels=levels, sigma=_SPREAD, episodes_per_policy=1)
     seeds = stream(seed, Purpose.FRESH_EPISODES).integers(2**62, size=episodes).tolist()
     tasks = [
         EpisodeTask(

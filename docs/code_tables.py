@@ -105,7 +105,7 @@ _HYPERPARAMETERS = (
     "minimum_goal_distance",
     *("primitive_view", "goal_encoding", "symmetry", "clock_frequency", "primitive_estimate", "intervals"),
     *("primitive_population_size", "primitive_sigma", "primitive_learning_rate", "primitive_hidden", "fall_price"),
-    *("max_tilt", "common_random_numbers", "rank_ties", "target", "explore"),
+    *("max_tilt", "common_random_numbers", "fitness_shaping", "target", "explore"),
 )
 """Settings of the method, in the order of its description."""
 

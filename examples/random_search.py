@@ -53,7 +53,7 @@ class RandomSearch(Algorithm[State]):
             places, seed = rng.integers(0, self.table.size - dim + 1, own.tries).tolist(), int(rng.integers(2**63))
             task = {"signs": ((1,),), "slots": (0,), "seeds": (seed,)}
             tasks = [EpisodeTask(member=i, noise_index=(place,), **task) for i, place in enumerate(places)]
-            common = {"sigma": own.spread, "episodes_per_policy": 1, "is_evaluation": False}
+            common = {"sigma": own.spread, "episodes_per_policy": 1}
             results = roll_out_tasks(tasks, Generation(levels=self.parameters(state), **common), backend)
             returns, theta, best = results.fitness[0], state.theta, state.best
             if returns.max() > best:

@@ -133,7 +133,7 @@ def _runs(results: PlacedResults, panel: Panel, curve: Curve) -> list[_Scores]:
 
 def _draw_curve(axis: Axes, runs: Sequence[_Scores], color: str, words: str, *, has_running_best: bool) -> MeanCurve:
     """Draw the mean over seeds, the training of their primitives before it and the running best; return the mean."""
-    mean = mean_curve([x for x, _, _ in runs], [y for _, y, _ in runs])
+    mean = mean_curve(*((x, y) for x, y, _ in runs))
     draw_mean_curve(axis, mean, color, words)
     spans = [(start, y[0]) for _, y, start in runs]
     if not mean.is_apart:
@@ -142,7 +142,7 @@ def _draw_curve(axis: Axes, runs: Sequence[_Scores], color: str, words: str, *, 
         if end:
             axis.plot([0, end], [y, y], **_SPAN, color=color, markevery=[1])
     if has_running_best:
-        best = mean_curve([x for x, _, _ in runs], [np.maximum.accumulate(y) for _, y, _ in runs])
+        best = mean_curve(*((x, np.maximum.accumulate(y)) for x, y, _ in runs))
         for x, y in best.singles if best.is_apart else [(best.grid, best.mean)]:
             axis.plot(x, y, **_RUNNING_BEST, color=color)
     return mean

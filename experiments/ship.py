@@ -10,7 +10,7 @@ import csv
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -23,7 +23,7 @@ from shes.runs import shipped
 from shes.runs.build import open_run
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.evaluate import Evaluation, evaluate
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENT_FILE, FreshEvaluation, FreshScore, ShippedAgent
 from shes.runs.tables import csv_text, read_csv
@@ -94,14 +94,8 @@ def fresh_evaluation(run: RunFolder, *, episodes: int, seed: int | None, num_wor
     result = partial(evaluate, run.path, episodes=episodes, seed=seed, num_workers=num_workers)
     trained = result()
     others = [result(controller="constant"), result(controller="random")] if trained.controller else [None, None]
-    constant, random = (each and FreshScore(**_shared(each, FreshScore)) for each in others)
-    return FreshEvaluation(seed=seed, constant=constant, random=random, **_shared(trained, FreshEvaluation))
-
-
-def _shared(found: Evaluation, kind: type[FreshScore]) -> dict[str, Any]:
-    """Return the fields of `kind` that `found` or its summary has."""
-    values = {**found.summary(), "controller": found.controller}
-    return {field.name: values[field.name] for field in fields(kind) if field.name in values}
+    constant, random = (each and FreshScore.of(each.listing().facts) for each in others)
+    return FreshEvaluation.of(trained.listing().facts, seed=seed, constant=constant, random=random)
 
 
 def _copy(source: RunFolder, name: str, checkpoint: Checkpoint, target: RunFolder) -> None:

@@ -25,9 +25,8 @@ def prose(source):
 
 
 def test_every_letter_of_a_shape_is_in_the_legend():
-    rows = re.findall(
-        rf"^\| ({LETTER}(?:, [A-Z])*) \| ", (ROOT / "docs/reference/index.md").read_text("utf-8"), re.MULTILINE
-    )
+    text = (ROOT / "docs/reference/index.md").read_text("utf-8")
+    rows = re.findall(rf"^\| ({LETTER}(?:, [A-Z])*) \| ", text, re.MULTILINE)
     legend = {letter for row in rows for letter in row.split(", ")}
     used = {
         letter: str(path.relative_to(ROOT))

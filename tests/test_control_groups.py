@@ -36,11 +36,7 @@ def machine(tmp_path, monkeypatch):
         (free_memory, {"memory.max": "1073741824"}, GIB),
         (free_memory, {"unified/jobs/7/memory.max": "1073741824"}, GIB),
         (free_memory, {"memory/job/memory.limit_in_bytes": "1073741824"}, GIB),
-        (
-            free_memory,
-            {"memory/memory.limit_in_bytes": "1073741824"},
-            GIB,
-        ),  # in a container that sees its group as root
+        (free_memory, {"memory/memory.limit_in_bytes": "1073741824"}, GIB),  # in a container: its group is its root
         (free_memory, {"memory/job/memory.limit_in_bytes": "9223372036854771712"}, 8 * GIB),  # "none" in version 1
         (free_memory, {"memory/other/memory.limit_in_bytes": "1073741824"}, 8 * GIB),
         (num_cores, {}, 8),

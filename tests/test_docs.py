@@ -43,9 +43,8 @@ def resources(text):
 
 def tables(text):
     """Return the text of every cell [table, row, column] of a built page."""
-    parts = (
-        re.findall(r"<tr.*?</tr>", table, re.DOTALL) for table in re.findall(r"<table.*?</table>", text, re.DOTALL)
-    )
+    found = re.findall(r"<table.*?</table>", text, re.DOTALL)
+    parts = (re.findall(r"<tr.*?</tr>", table, re.DOTALL) for table in found)
     cells = ([re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in rows] for rows in parts)
     return [[[unescape(re.sub(r"<[^>]*>", "", cell)) for cell in row] for row in rows] for rows in cells]
 
@@ -90,9 +89,8 @@ def test_every_page_is_built_and_no_python_file_is_copied(site, pages):
 def test_nothing_is_loaded_from_another_host(site, pages):
     loaded = [(name, link) for name, text in pages.items() for link in resources(text)]
     for path in site.rglob("*.css"):
-        loaded += [
-            (path.name, link) for link in re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", path.read_text("utf-8"))
-        ]
+        links = re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", path.read_text("utf-8"))
+        loaded += [(path.name, link) for link in links]
     assert loaded
     assert not [(name, link) for name, link in loaded if re.match(r"([a-z]+:)?//", link)]
 
@@ -169,9 +167,8 @@ def test_the_python_of_getting_started_runs(tmp_path):
 
 def run(script):
     """Run a script in its folder, with warnings as errors; return its output."""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", script], cwd=script.parent, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-W", "error", script]
+    done = subprocess.run(command, cwd=script.parent, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -183,9 +180,8 @@ def flags():
     with contextlib.redirect_stdout(io.StringIO()) as text:
         assert [main(words) for words in commands] == [0] * len(commands)
     # That the help of `train` shows every setting of a run is tested with the command line.
-    return {each.flag for each in known_settings().values()} | set(
-        re.findall(r"(?<![\w-])--[a-z][a-z-]+", text.getvalue())
-    )
+    shown = re.findall(r"(?<![\w-])--[a-z][a-z-]+", text.getvalue())
+    return {each.flag for each in known_settings().values()} | set(shown)
 
 
 @pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())

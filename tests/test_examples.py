@@ -1,5 +1,9 @@
-"""Every example is short, runs as it is, and prints the expected last line. New examples are found by their files."""
+"""Every example is short, runs as it is, and prints the expected last line; notebooks are stored without output.
 
+New examples and notebooks are found by their files.
+"""
+
+import json
 import os
 import re
 import subprocess
@@ -66,3 +70,33 @@ def test_trackio_takes_the_place_of_wandb(tmp_path):
     command = [sys.executable, "logging_run.py"]
     told = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
     assert told.splitlines()[-1] == "logged 4 generations"
+
+
+# Notebooks.
+
+NOTEBOOKS = sorted((EXAMPLES[0].parent / "notebooks").glob("*.ipynb"))
+SHORTER = {"GENERATIONS": "2", "GENERATIONS, SEEDS": "2, (1, 2)", "STEPS": "4"}
+"""Values that a test sets instead of those of a notebook."""
+SHOWS = {"walk": ["text/html", "image/png", "text/html"], "change_one_thing": ["text/html", "image/png"]}
+"""Progress, figures and video that each displays, in order; repetitions left out."""
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_stored_without_output(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert {(cell["execution_count"], *cell["outputs"]) for cell in cells if cell["cell_type"] == "code"} == {(None,)}
+
+
+@pytest.mark.extras
+@pytest.mark.render
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_shows_progress_and_pictures(path, tmp_path):
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.read(path, as_version=4)
+    for cell in notebook.cells:
+        for name, value in SHORTER.items():
+            cell.source = re.sub(rf"^{name} = .*$", f"{name} = {value}", cell.source, flags=re.MULTILINE)
+    nbclient.NotebookClient(notebook, timeout=110, resources={"metadata": {"path": tmp_path}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    kinds = [kind for output in outputs for kind in output.get("data", ()) if kind in {"text/html", "image/png"}]
+    assert [kind for kind, before in zip(kinds, [None, *kinds], strict=False) if kind != before] == SHOWS[path.stem]

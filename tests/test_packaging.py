@@ -53,9 +53,8 @@ def test_contributing_names_every_marker():
 )
 def test_the_constraints_pin_every_requirement_of_make(extra):
     assert extra in MAKEFILE
-    pins = {
-        pinned(line) for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if "==" in line
-    }
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = {pinned(line) for line in lines if "==" in line}
     required = {pinned(each) for each in PROJECT["project"]["optional-dependencies"][extra]}
     assert required <= pins
 

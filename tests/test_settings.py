@@ -1,7 +1,7 @@
 """Settings: the annotation of a field says which values are allowed, and the error says so."""
 
 import inspect
-from dataclasses import dataclass, make_dataclass, replace
+from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ class EveryKind(Settings):
     whole: Annotated[int, Ge(2)] = 2
     """A text
     of two lines."""
-    seed: Annotated[int, Ge(0), Lt(2**63)] = 0
+    seed: Annotated[int, Ge(0), Lt(9000)] = 0
     positive: Annotated[float, Gt(0)] = 1.0
     zero: Annotated[float, Ge(0)] = 0.0
     share: Annotated[float, Ge(0), Le(1)] = 1.0
@@ -41,23 +41,23 @@ NOT_NUMBERS = ["1", True, None, float("nan"), float("inf"), [1], 1j]
 WRONG = {
     "span": (r"2 numbers", [(1.0,), (0.0, 1.0, 2.0), (), ("a", "b"), 1.0]),
     "whole": (r"a whole number of at least 2", [1, 2.0, -(10**400), *NOT_NUMBERS]),
-    "seed": (r"a whole number of at least 0 and less than 2\*\*63", [-1, 2**63, 1.0]),
-    "positive": (r"a positive number", [0, -0.1, *NOT_NUMBERS]),
-    "zero": (r"zero or a positive number", [-0.1, *NOT_NUMBERS]),
-    "share": (r"between 0 and 1", [-0.1, 1.1, *NOT_NUMBERS]),
-    "open_share": (r"more than 0 and less than 1", [0, 1, *NOT_NUMBERS]),
-    "momentum": (r"at least 0 and less than 1", [-0.1, 1, *NOT_NUMBERS]),
+    "seed": (r"a whole number of at least 0 and less than 9000", [-1, 9000, 1.0]),
+    "positive": (r"a number greater than 0", [0, -0.1, *NOT_NUMBERS]),
+    "zero": (r"a number of at least 0", [-0.1, *NOT_NUMBERS]),
+    "share": (r"a number of at least 0 and at most 1", [-0.1, 1.1, *NOT_NUMBERS]),
+    "open_share": (r"a number greater than 0 and less than 1", [0, 1, *NOT_NUMBERS]),
+    "momentum": (r"a number of at least 0 and less than 1", [-0.1, 1, *NOT_NUMBERS]),
     "word": (r"one of one, two", [1, None, ["one"], b"one"]),
     "name": (r"one of near", [3, None]),
     "path": (r"a name, e\.g\. --path runs/a", ["", 3, True]),
     "switch": (r"true or false", [1, 0, "no", None, np.array(True), []]),
     "maybe": (r"true or false", ["no", 0.0]),
     "layers": (
-        r"positive whole numbers, e\.g\. --net 64 64",
+        r"whole numbers of at least 1, e\.g\. --net 64 64",
         [(0,), (8, -1), (8.5,), ("8",), (True,), 0, 8.5, True, "8 8", None],
     ),
     "place": (
-        r"numbers between -9 and 9, e\.g\. --place 0 8",
+        r"numbers of at least -9 and at most 9, e\.g\. --place 0 8",
         [10, "ab", ("0", "1"), [[1], [2]], {0: 1}, (True, 1), (0, None), (0, np.nan), (9.1, 0), (), np.zeros((2, 1))],
     ),
 }
@@ -127,31 +127,23 @@ def area(width: Annotated[int, Ge(1)], height: Annotated[float, Gt(0)] = -1, *re
     return width, height, rest, unit
 
 
-@checked
-@dataclass(frozen=True)
-class Box:
-    """A class whose fields are checked."""
-
-    width: Annotated[int, Ge(1)] | None
-    content: object = None
-
-
 def test_arguments_are_checked_and_converted():
     assert area(np.int64(2), 3, None, "x") == (2, 3.0, (None, "x"), "m")
     assert {type(each) for each in area(np.int64(2), 3)[:2]} == {int, float}
     assert area(width=1) == (1, -1, (), "m")  # a default is not checked
     assert str(inspect.signature(area)) == str(inspect.signature(area.__wrapped__))
-    assert Box(None) == Box(None, None)
-    assert Box(np.int64(3), content=0).width == 3
 
 
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
         (lambda: area(0), ConfigError, r"width must be a whole number of at least 1, got 0\. Set --width\."),
-        (lambda: area(1, height=True), ConfigError, r"height must be a positive number, got True\. Set --height\."),
+        (
+            lambda: area(1, height=True),
+            ConfigError,
+            r"height must be a number greater than 0, got True\. Set --height\.",
+        ),
         (lambda: area(1, unit="cm"), UnknownNameError, r"unknown unit 'cm'\. .*Known: m\. Set --unit\."),
-        (lambda: replace(Box(1), width=-1), ConfigError, r"width must be .*got -1"),
         (area, TypeError, "width"),
     ],
 )

@@ -66,19 +66,14 @@ def import_module(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except Exception as error:
-        asked = os.environ.get("MUJOCO_GL")
-        if not asked or not _is_of_opengl(error):
+        asked, frames = os.environ.get("MUJOCO_GL"), traceback.walk_tb(error.__traceback__)
+        packages = {str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames}
+        if not asked or ("MUJOCO_GL" not in str(error) and "OpenGL" not in packages):
             raise
         raise ConfigError(
             f"MuJoCo cannot be imported with MUJOCO_GL={asked} ({error}). Unset MUJOCO_GL to let SHES choose, or set "
             "it to egl, osmesa or off."
         ) from error
-
-
-def _is_of_opengl(error: Exception) -> bool:
-    frames = traceback.walk_tb(error.__traceback__)
-    packages = {str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames}
-    return "MUJOCO_GL" in str(error) or "OpenGL" in packages
 
 
 def __getattr__(name: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -26,20 +25,10 @@ class LineConsole(Console):
         self.print_line(Text.assemble(("Error:", "bold red"), " ", text))
 
     def print_table(self, table: Table) -> None:
-        """Print `table` in the width of the console: lines are broken between words, except in the widest column."""
+        """Print `table` in the width of the console. A word that is too long for its column is broken."""
         made = RichTable(show_header=bool(table.headings))
-        headings = table.headings or [""] * len(table.rows[0])
-        columns = list(zip(headings, *table.rows, strict=True))
-        widths = [max(map(cell_len, column)) for column in columns]
-        excess = sum(widths) + 3 * len(widths) + 1 - self.width
-        for i in reversed(range(len(widths))):
-            longest_word = max((cell_len(word) for cell in columns[i] for word in cell.split()), default=0)
-            cut = max(0, min(excess, widths[i] - longest_word))
-            widths[i], excess = widths[i] - cut, excess - cut
-        widest = widths.index(max(widths))
-        widths[widest] = max(widths[widest] - max(excess, 0), 1)
-        for heading, width in zip(headings, widths, strict=True):
-            made.add_column(heading, overflow="fold", width=width)
+        for heading in table.headings or [""] * len(table.rows[0]):
+            made.add_column(heading, overflow="fold")
         for row in table.rows:
             made.add_row(*map(Text, row))
         self.print(made)

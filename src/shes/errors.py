@@ -26,15 +26,14 @@ class UnknownNameError(ShesError, LookupError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], fix: str = "") -> None:
         """Create the message from the `kind` of name, the `name` received, the `known` names and the `fix` (a flag)."""
-        names = nearest_first(name, known)
+        super().__init__(kind, name, nearest_first(name, known), fix)  # by which the error is pickled
+
+    def __str__(self) -> str:
+        """Return the message."""
+        kind, name, names, fix = self.args
         close = difflib.get_close_matches(name, names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        super().__init__(f"unknown {kind} {name!r}.{hint} Known: {', '.join(names)}.{' ' + fix if fix else ''}")
-        self.arguments = (kind, name, tuple(names), fix)
-
-    def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, str, tuple[str, ...], str]]:
-        """Pickle by the constructor's arguments, because the error may come from a worker process."""
-        return (type(self), self.arguments)
+        return f"unknown {kind} {name!r}.{hint} Known: {', '.join(names)}.{' ' + fix if fix else ''}"
 
 
 class MissingExtraError(ShesError, ImportError):

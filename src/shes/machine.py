@@ -89,6 +89,4 @@ def resident_memory() -> int:
 def free_disk(path: Path) -> int:
     """Return the free bytes on the disk of `path`, which may still be missing."""
     place = path.absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    return shutil.disk_usage(place).free
+    return shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists())).free

@@ -38,7 +38,11 @@ class Registry(dict[str, T]):
         A class or function with the full name of the existing entry replaces it.
         """
         self._check(self.kind, entry)
-        check_name_form(self.kind, name)
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise ConfigError(
+                f"{self.kind} name must be lower-case words of letters and digits, joined by - or _, got {name!r}. "
+                "For example: 'my-own-2'."
+            )
         # Compared by full name, because running a notebook cell again, or a reload, redefines the same class.
         if name in self and full_name(self[name]) != full_name(entry):
             raise ConfigError(f"{self.kind} {name!r} is {full_name(self[name])} already. Choose another name.")
@@ -84,15 +88,6 @@ def check_function(kind: str, function: object) -> None:
     """Raise ConfigError unless `function` is one."""
     if isinstance(function, type) or not callable(function):
         raise ConfigError(f"a {kind} must be a function, got {function!r}. `docs/extending.md` says of what.")
-
-
-def check_name_form(kind: str, name: object) -> None:
-    """Raise ConfigError unless `name` consists of lower-case words."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ConfigError(
-            f"{kind} name must be lower-case words of letters and digits, joined by - or _, got {name!r}. "
-            "For example: 'my-own-2'."
-        )
 
 
 def full_name(entry: object) -> str:

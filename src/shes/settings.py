@@ -15,46 +15,98 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 import linecache
 import math
 import operator
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from itertools import pairwise
+from operator import methodcaller
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from shes.annotations import (
-    Bound,
-    Choices,
-    Example,
-    Execution,
-    Ge,
-    Gt,
-    Le,
-    Lt,
-    Needs,
-    Shared,
-    Shown,
-    Unasked,
-    range_in_words,
-)
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
-
-__all__ = [
-    "Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared", "Shown",
-    "Unasked", "checked", "flag", "out_of_range", "registered", "setting_fields",
-]  # fmt: skip
 
 NoteT = TypeVar("NoteT")
 F = TypeVar("F", bound=Callable[..., Any])
 _SENTENCE_END = r"\.(?:\s|$)"
-_COMPARISONS = {Gt: operator.gt, Ge: operator.ge, Lt: operator.lt, Le: operator.le}
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound of the value, or of each item of a tuple."""
+
+    words: str
+    allows: Callable[[Any, Any], bool]
+    """Whether a value, given first, keeps within the bound."""
+    bound: float
+
+
+Gt, Ge = partial(Bound, "greater than", operator.gt), partial(Bound, "of at least", operator.ge)
+Lt, Le = partial(Bound, "less than", operator.lt), partial(Bound, "at most", operator.le)
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """The value is one of these names. They are looked up at every check, because a registry may grow."""
+
+    names: Iterable[str]
+    fix: str = ""
+    """How to add a name, for the error message."""
+    is_described: bool = False
+    """Whether the help describes each class of the registry by the first sentence of its docstring."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """An example of the value, as written after the flag."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Execution:
+    """The setting decides how, where or for how long a run computes, and does not change its numbers.
+
+    Devices round differently; the record of a run says where its device changed.
+    """
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The setting may have the name of a setting of an earlier section. It is then one setting, with one value."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How the command line shows the setting."""
+
+    flag: str = ""
+    """Its flag, if that is not its name."""
+    everyday: bool = False
+    """Whether the short help of `shes train` shows it."""
+
+
+@dataclass(frozen=True)
+class Unasked:
+    """The program sets this field; it has no flag and is not recorded."""
+
+
+@dataclass(frozen=True)
+class Needs:
+    """The setting has no effect unless setting `other` has one of `values`, or is not None if there are no `values`.
+
+    Several of these annotations on one field are alternatives.
+    """
+
+    other: str
+    values: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,6 +183,8 @@ class Setting:
         """
         if value is None and self.is_optional:
             return None
+        if self.kind is dict:
+            return self._checked_object(value)
         plain = _plain(value)
         if known := next(self.all_of(Choices), None):
             return self._checked_name(plain, known)
@@ -153,13 +207,23 @@ class Setting:
             raise UnknownNameError(kind, value, known.names, fix)
         return value
 
+    def _checked_object(self, value: Any) -> dict[str, Any]:
+        """Return a copy of a JSON object, which may be given as its text."""
+        try:
+            found = json.loads(value) if isinstance(value, str) else value
+            if isinstance(found, Mapping) and all(isinstance(name, str) and name.isidentifier() for name in found):
+                return json.loads(json.dumps(dict(found), allow_nan=False, default=methodcaller("tolist")))
+        except (AttributeError, RecursionError, TypeError, ValueError):  # no JSON
+            pass
+        raise out_of_range(self.name, value, self.allowed, self.flag)
+
     def _is_item(self, value: Any) -> bool:
         """Return whether `value` has the type of an item and is within the bounds; a bool is not a number."""
         if self.item not in (int, float):
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
-        if not all(_COMPARISONS[type(note)](value, note.bound) for note in self.all_of(Bound)):
+        if not all(note.allows(value, note.bound) for note in self.all_of(Bound)):
             return False
         if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
             raise out_of_range(self.name, value, "less than 2**63", self.flag)
@@ -169,9 +233,12 @@ class Setting:
     def allowed(self) -> str:
         """The allowed values in words, for error messages."""
         count = f"{self.length} " if self.length else ""
-        words = {bool: "true or false", str: "a name"}.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
-        if self.item in (int, float):
-            words = range_in_words(self.item, self.notes, is_many=self.kind is tuple)
+        named = {bool: "true or false", str: "a name", int: "a whole number", float: "a number"}
+        named[dict] = "a JSON object of names and values"
+        words = named.get(self.item) or f"a {getattr(self.item, '__name__', '')}"
+        if self.kind is tuple:
+            words = words.removeprefix("a ") + "s"
+        words += " and".join(f" {note.words} {note.bound:g}" for note in self.all_of(Bound))
         return count + words + "".join(f", e.g. {self.flag} {note.text}" for note in self.all_of(Example))
 
 
@@ -212,11 +279,11 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     for field in fields(cls):
         default = field.default_factory() if field.default_factory is not MISSING else field.default
         setting = found[field.name] = described(field.name, hints[field.name], cls, default)
-        if setting.item not in ((int, float) if setting.kind is tuple else (bool, int, float, str)):
+        if setting.item not in ((int, float) if setting.kind is tuple else (bool, int, float, str, dict)):
             raise ConfigError(
                 f"{full_name(cls)}.{field.name} has the type {hints[field.name]}, which a setting "
-                "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, or one of these "
-                "or None."
+                "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, a dict, or "
+                "one of these or None."
             )
     return found
 
@@ -229,6 +296,8 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
         kind, inner = _unwrapped(Union[tuple(each for each in get_args(kind) if each is not NoneType)])  # noqa: UP007
         notes += inner
     item, length = kind, None
+    if get_origin(kind) is dict:
+        kind = item = dict
     if get_origin(kind) is tuple:
         first, *others = get_args(kind) or (None,)
         item, inner = _unwrapped(first)
@@ -242,7 +311,7 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
     return Setting(name=name, default=default, notes=notes, owner=owner, **types)
 
 
-def registered(names: Collection[str]) -> Mapping[str, Any]:
+def registered(names: Iterable[str]) -> Mapping[str, Any]:
     """Return the registered classes by name, or nothing if `names` is not a registry."""
     return names if isinstance(names, Registry) else {}
 
@@ -287,28 +356,24 @@ def _syntax_tree(file: str) -> ast.Module:
 
 
 def checked(function: F) -> F:
-    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
+    """Return `function`, which now checks the arguments whose annotations say what is allowed.
 
     A call raises as `Setting.checked` does, which also converts the values.
     """
-    if isinstance(function, type):
-        function.__init__ = checked(function.__init__)
-        return function  # type: ignore[return-value] - it is of its own type
     signature = inspect.signature(function)
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         given = signature.bind(*args, **kwargs)
-        for name, parameter in _parameters(function).items():
-            if name in given.arguments:
-                given.arguments[name] = parameter.checked(given.arguments[name])
+        for parameter in _parameters(function):
+            if parameter.name in given.arguments:
+                given.arguments[parameter.name] = parameter.checked(given.arguments[parameter.name])
         return function(*given.args, **given.kwargs)
 
     return call  # type: ignore[return-value] - of the same signature
 
 
 @cache
-def _parameters(function: Callable[..., Any]) -> dict[str, Setting]:
-    hints = get_type_hints(function, include_extras=True)
-    found = {name: described(name, hint, function) for name, hint in hints.items()}
-    return {name: parameter for name, parameter in found.items() if parameter.notes}
+def _parameters(function: Callable[..., Any]) -> list[Setting]:
+    every = (described(name, hint, function) for name, hint in get_type_hints(function, include_extras=True).items())
+    return [parameter for parameter in every if parameter.notes]

@@ -14,8 +14,6 @@ from typing import IO, Any
 
 from shes.errors import StorageError
 
-__all__ = ["can_lock", "remove_abandoned", "storage_errors", "write_atomically"]
-
 _UNFINISHED = ".part"
 
 _FIXES = {

@@ -52,9 +52,8 @@ def test_weights_that_the_symmetry_forbids_are_zero():
 
 def test_initial_parameters_are_weights_of_an_mlp_of_that_size():
     network = EquivariantMLP(NETWORKS["ring"])
-    theta, full = (
-        each.initial(np.random.default_rng(2), output_weights="zero") for each in (network, MLP(50, (80,), 10))
-    )
+    sources = (network, MLP(50, (80,), 10))
+    theta, full = (each.initial(np.random.default_rng(2), output_weights="zero") for each in sources)
     weights = network.expand(theta[None])
     assert set(weights[0].tolist()) <= set(full.tolist())
     (first, _), (last, _) = network.layers(weights)

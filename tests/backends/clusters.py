@@ -19,9 +19,8 @@ def ray_cluster(num_nodes, num_cpus=1):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_AUTH_MODE", "disabled")  # no token in the user's home
         patch.setenv("SHES_TEST_NODE", "0")
-        cluster = Cluster(
-            initialize_head=True, head_node_args={**NODE, "num_cpus": num_cpus, "include_dashboard": False}
-        )
+        head = {**NODE, "num_cpus": num_cpus, "include_dashboard": False}
+        cluster = Cluster(initialize_head=True, head_node_args=head)
         try:
             for i in range(1, num_nodes):
                 add_node(cluster, i)

@@ -152,7 +152,7 @@ def test_a_lost_node_does_not_look_like_workers_that_keep_dying():
     assert run(backend, [0, 1, 2, 3]) == [0, 1, 2, 3]
 
 
-def test_one_that_fails_to_start_is_started_again_with_the_next_map():
+def test_one_that_fails_to_start_is_started_again_next_map():
     backend = ScriptedBackend(2, fail_at_start=[2, 3])
     run(backend, [0, 1, 2, 3])
     for started in (3, 4):  # the first one's successor fails, and the next one

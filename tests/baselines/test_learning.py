@@ -21,9 +21,8 @@ pytestmark = pytest.mark.hiro
 
 INPUTS, ACTIONS, BATCH = 5, 2, 16
 HALF_RANGE = (2.0, 0.5)
-OWN = LearnerSettings(
-    actor_learning_rate=0.01, critic_learning_rate=0.02, target_rate=0.1, batch_size=BATCH, discount=0.9
-)
+RATES = {"actor_learning_rate": 0.01, "critic_learning_rate": 0.02, "target_rate": 0.1}
+OWN = LearnerSettings(**RATES, batch_size=BATCH, discount=0.9)
 VARIANTS = {
     "as HIRO's code": (OWN, (7, 6)),
     "raw noise": (replace(OWN, noise_unit="raw"), (7, 6)),
@@ -95,11 +94,8 @@ def test_updates_are_those_of_the_reference(variant):
 
 def test_networks_start_as_in_the_published_code():
     learner = level_of(hidden=(50, 40)).start(np.random.default_rng(0)).learner
-    assert [weights.shape for weights, _ in learner["critics"]] == [
-        (2, INPUTS + ACTIONS, 50),
-        (2, 50 + ACTIONS, 40),
-        (2, 40, 1),
-    ]
+    shapes = [weights.shape for weights, _ in learner["critics"]]
+    assert shapes == [(2, INPUTS + ACTIONS, 50), (2, 50 + ACTIONS, 40), (2, 40, 1)]
     for name, fans in (("actor", (INPUTS, 50)), ("critics", (INPUTS + ACTIONS, 50 + ACTIONS))):
         *hidden, last = learner[name]
         for (weights, biases), fan_in in zip(hidden, fans, strict=True):
@@ -134,7 +130,7 @@ def test_a_learner_draws_normalises_and_discounts(normalise_inputs):
     assert np.abs(drawn["inputs"]).max() == 5.0 if normalise_inputs else np.abs(drawn["inputs"]).max() > 5
     losses = [made.update({name: array[i] for name, array in drawn.items()}) for i in range(2)]
     after, means = learner.finish()
-    np.testing.assert_allclose(after.parameters.theta, flat(made.actor), atol=1e-4)
+    np.testing.assert_allclose(flat(after.learner["actor"]), flat(made.actor), atol=1e-4)
     assert means == pytest.approx(dict(zip(LOSSES, np.nanmean(losses, axis=0), strict=True)), rel=1e-4)
     assert (after.learner["num_updates"], after.replay.size) == (2, BATCH)
     assert after.statistics.count == (10 + BATCH if normalise_inputs else 0)
@@ -176,7 +172,7 @@ def test_a_learner_corrects_every_goal_by_the_primitive_of_now():
     primitive.learner = {**primitive.learner, "actor": now.learner["actor"]}
     drawn = learner.draw(2, np.random.default_rng(5))
 
-    again, theta = np.random.default_rng(5), now.parameters.theta[None]
+    again, theta = np.random.default_rng(5), flat(now.learner["actor"])[None]
     expected = learner.replay.sample(again, 16)
     choices = candidates(expected["goal"], expected["change"], upper.half_range, again)
     chosen = []

@@ -100,9 +100,7 @@ def test_the_short_help_of_train_shows_what_the_preset_sets(shes):
     assert "preset laptop for ant-gather" in joined(shes("train", "--help"))
 
 
-@pytest.mark.parametrize(
-    "line", ["ant-gather", "point-flagrun --preset smoke", "point-fall", "point-maze --algorithm es"]
-)
+@pytest.mark.parametrize("line", ["ant-gather", "ant-flagrun --preset smoke", "point-fall", "ant-maze --algorithm es"])
 def test_the_whole_help_shows_every_setting_in_its_group(shes, line):
     env, *more = line.split()
     text = shes("train", env, *more, "--help-all")
@@ -154,6 +152,7 @@ WRITTEN = {
     "--hidden": {"hidden": ()},
     "--hidden none --primitive-hidden none": {"hidden": (), "primitive_hidden": None},
     "--weight-decay 0 --fall-price=0": {"weight_decay": 0.0, "fall_price": 0.0},
+    '--env-kwargs {"a":3} --reset-options none': {"env_kwargs": '{"a":3}', "reset_options": None},
 }
 
 
@@ -176,7 +175,7 @@ def test_the_value_of_a_flag_is_not_taken_for_the_environment(given, line):
     assert given(*line.split()) == ("ant-push", {"primitive": "ant-maze"}, (1, 2))
 
 
-@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("preset", [*PRESET_NAMES])
 def test_the_value_of_every_setting_can_be_written(given, preset):
     config = make_config("ant-gather", preset)
     words, expected, settings = [], {}, config.settings

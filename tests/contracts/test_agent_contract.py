@@ -18,13 +18,8 @@ from tests.rollout.designs import INTERVAL, OBSERVED, every_design, levels_of, t
 from tests.rollout.plain_agent import PlainAgent, columns
 
 MEMBERS, EPISODES, STEPS = 4, 2, 2 * INTERVAL + 2
-EGOCENTRIC = {
-    "primitive_view": "egocentric",
-    "symmetry": "dihedral",
-    "controller_interval": INTERVAL,
-    "clock_frequency": 1.2,
-    "hidden": (6, 5),
-}
+WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
+EGOCENTRIC = {**WALKER, "controller_interval": INTERVAL, "hidden": (6, 5)}
 WITH_CONTROLLER = {**EGOCENTRIC, "controller_output": "heading_vector", "controller_view": "egocentric"}
 ANTS = {
     "ant-gather": WITH_CONTROLLER,
@@ -46,10 +41,8 @@ class Subject:
 
     def rows(self, step, members, episodes=EPISODES):
         """Return the arguments of `act`: copies, members under each other."""
-        return {
-            name: np.concatenate([array[step, member, :episodes] for member in members])
-            for name, array in self.shown.items()
-        }
+        own = {name: [array[step, member, :episodes] for member in members] for name, array in self.shown.items()}
+        return {name: np.concatenate(arrays) for name, arrays in own.items()}
 
     def start(self, agent, place, member):
         """Let the episodes of a member start in lane `place`."""
@@ -92,11 +85,8 @@ def subject(name):
 def tumbling(name, rng):
     """Return the subject of ants that are turned and tilted, and pushed at random."""
     config = make_config(name, "smoke", {**ANTS[name], "reset_noise": 0.5})
-    task, seen, ids = (
-        build_environment(config).make(MEMBERS * EPISODES, build_options(config, is_evaluation=False)),
-        [],
-        np.arange(MEMBERS * EPISODES),
-    )
+    task = build_environment(config).make(MEMBERS * EPISODES, build_options(config, is_evaluation=False))
+    seen, ids = [], np.arange(MEMBERS * EPISODES)
     task.reset(ids, ids.tolist())
     for _ in range(STEPS):
         goal = rng.uniform(-4, 4, (len(ids), 2)) + task.position

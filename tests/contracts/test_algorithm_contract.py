@@ -44,9 +44,8 @@ LEARNERS = {
     "hiro": ("hiro", "point-gather", {**SMALL_REPLAY, "controller_update_interval": 5}),
     "td3": ("td3", "point-flagrun", {**SMALL_REPLAY, "num_envs": 3}),
 }
-OVER_LEARNERS = [
-    pytest.param(name, marks=[pytest.mark.hiro] if LEARNERS[name][0] in GRADIENT else []) for name in LEARNERS
-]
+MARKS = {name: [pytest.mark.hiro] for name in GRADIENT}
+OVER_LEARNERS = [pytest.param(name, marks=MARKS.get(of[0], [])) for name, of in LEARNERS.items()]
 OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "evaluation_s", "process_time_s"}
 
 

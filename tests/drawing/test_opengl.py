@@ -6,7 +6,6 @@ import subprocess
 import pytest
 
 from shes.drawing import make_drawer
-from shes.drawing.flat_renderer import FlatRenderer
 from shes.envs.named_environments import make_task
 from shes.errors import ConfigError
 
@@ -64,6 +63,6 @@ def test_a_choice_that_does_not_work_is_refused(works, monkeypatch, asked):
 def test_without_opengl_the_packages_to_install_are_named(works, caplog):
     works()
     with caplog.at_level(logging.WARNING, logger="shes.drawing"):
-        assert isinstance(make_drawer.make_drawer(make_task("point-gather", 1), 64, 64), FlatRenderer)
+        assert isinstance(make_drawer.make_drawer(make_task("point-gather", 1), 64, 64), make_drawer.FlatRenderer)
     for word in ("MUJOCO_GL", "libegl1", "libosmesa6"):
         assert word in caplog.text

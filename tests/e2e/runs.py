@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,17 @@ def patient(seconds):
 def train_tiny(path, env="point-gather", **settings):
     """Train in this process; return the run folder."""
     return train(env, out=path, **{**TINY, **settings}).path
+
+
+def trained_once(folder, kinds):
+    """Return a function that returns the run folder of a kind (environment, settings), trained when first asked for."""
+
+    @cache
+    def find(kind):
+        env, settings = kinds[kind]
+        return train_tiny(folder / kind, env, **settings)
+
+    return find
 
 
 class AfterGeneration:
@@ -152,9 +164,9 @@ def wait_until(condition, what, within_s=PATIENCE_S, every_s=0.002):
 
 
 def log_lines(path):
-    """Return the log of a run without dates and levels; none before it begins."""
+    """Return the log of a run without dates, levels and tracebacks; none before it begins."""
     log = Path(path) / "log.txt"
-    return [line.split(" ", 3)[3] for line in log.read_text().splitlines()] if log.exists() else []
+    return re.findall(r"^\d{4}-\S+ \S+ [A-Z]+ (.*)", log.read_text(), re.MULTILINE) if log.exists() else []
 
 
 def wait_for_generation(process, path, generation):

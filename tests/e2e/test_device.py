@@ -36,6 +36,20 @@ def test_the_number_of_policies_in_lockstep_changes_no_number(walked, tmp_path, 
     assert runs.differences(walked, runs.train_tiny(tmp_path / "run", **ANT, chunk_size=chunk_size)) == []
 
 
+def test_deterministic_runs_repeat_and_their_models_say_so(walked, tmp_path, monkeypatch):
+    """Box-box contacts of Push included. Additions on the CPU are in a fixed order without it."""
+    mujoco_warp, models = load_warp()[1], []
+    put_model = mujoco_warp.put_model
+    monkeypatch.setattr(mujoco_warp, "put_model", lambda model: models.append(put_model(model)) or models[-1])
+    push = {**ANT, "env": "ant-push", "generations": 1, "deterministic": True}
+    one, again = (runs.train_tiny(tmp_path / name, **push) for name in ("one", "again"))
+    assert {model.opt.deterministic for model in models} == {mujoco_warp.DeterminismType.ALL}
+    assert runs.differences(one, again) == []
+    models.clear()
+    shes.evaluate(walked, episodes=2, device="warp-cpu")
+    assert {model.opt.deterministic for model in models} == {0}
+
+
 def test_a_run_that_was_interrupted_goes_on_as_if_it_had_not(walked, tmp_path):
     path = runs.train_tiny(tmp_path / "run", **{**ANT, "generations": 1})
     shes.resume(path, generations=2)
@@ -60,7 +74,7 @@ def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp
     assert parts == [(2, "warp-cpu"), (4, "cpu")]
     assert set(record["resumed"][0]["device"]) == {"name", "mujoco-warp", "warp-lang"}
     rows = read_csv(path / "progress.csv")
-    assert rows["generation"] == [1, 2, 3, 4, 5]
+    assert rows["generation"].tolist() == [1, 2, 3, 4, 5]
     assert all(np.isfinite(rows["controller_return_mean"]))
     assert RunFolder.open(path).load("last").generation == 5
 

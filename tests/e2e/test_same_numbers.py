@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import shes
+from shes.backends.backend import SerialBackend
 from shes.runs.config import known_settings
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
@@ -71,7 +72,9 @@ BY_CHOICE = {
 BY_HAND = {
     "layers of its own": {"primitive_hidden": (3, 5)},
     "some statistics": {"statistics_fraction": 0.4},
+    "no statistics": {"statistics_fraction": 0.0},
     "flat, schedules": {"algorithm": "es", **SCHEDULES},
+    "flat, own episodes": {"algorithm": "es", "mirrored": "none", "common_random_numbers": "off"},
     "frozen": {"primitive": SOURCE},
     "unfrozen": {"primitive": SOURCE, "freeze_primitive": False},
     "unfrozen by halves": {
@@ -99,7 +102,9 @@ BY_ENVIRONMENT = {
     "point-flagrun": {
         "alone": {},
         "alone, schedules": {**SCHEDULES, "optimizer": "sgd"},
+        "alone, own episodes": {"mirrored": "none", "common_random_numbers": "off"},
         "flat": {"algorithm": "es"},
+        "episodes that end": {**BRANCHES, "horizon": 16},  # after the second generation
     },
     "ant-flagrun": {
         "alone": {}, "flat": {"algorithm": "es"}, "rotation": {**EGOCENTRIC, "symmetry": "rotation"}, "walker": WALKER,
@@ -122,7 +127,7 @@ BY_ENVIRONMENT = {
     },
     # Many members are paid the same here, so that it matters how ties rank.
     "point-gather": {
-        "ties by index": {"rank_ties": "index", "controller_view": "sectors"},
+        "ties by index": {"fitness_shaping": "centred_rank_index", "controller_view": "sectors"},
     },
 }  # fmt: skip
 METHODS = [
@@ -130,10 +135,24 @@ METHODS = [
     *((env, name, settings) for env, cases in BY_ENVIRONMENT.items() for name, settings in cases.items()),
     *((each.name, each.spec, {"spec": each.spec}) for each in VARIANTS),
 ]
-QUICK = {
-    ("point-maze", "everything"), ("point-maze", "algorithm=es"), ("ant-gather", "walker"),
+QUICK = {("point-maze", "everything"), ("ant-gather", "walker"), ("point-flagrun", "episodes that end")}
+"""These share enough with the others for worker processes on every day."""
+QUICK_SERIAL = {
+    "mirrored", "fitness_shaping", "optimizer", "perturbation", "common_random_numbers", "statistics_fraction",
+    "schedule_generations", "episodes_per_policy", "fall_price", "horizon",
 }  # fmt: skip
-"""These share enough with the others for every day."""
+"""Settings of the evolution itself, compared every day on the serial backend."""
+
+
+def comparisons():
+    """Return a test of every method on each of the two backends, most of them slow."""
+    tests = []
+    for env, name, settings in METHODS:
+        is_quick_serial = env.startswith("point-") and bool(QUICK_SERIAL & settings.keys())
+        for backend, is_quick in (("serial", is_quick_serial), ("processes", (env, name) in QUICK)):
+            marks = [] if is_quick else [pytest.mark.slow]
+            tests.append(pytest.param(backend, env, settings, id=f"{backend}-{env}-{name}", marks=marks))
+    return tests
 
 
 @pytest.fixture(scope="module")
@@ -143,19 +162,15 @@ def source(tmp_path_factory):
     return runs.train_tiny(path, "point-flagrun", generations=2, clock_frequency=0.5, hidden=(3,))
 
 
-@pytest.mark.parametrize(
-    ("env", "settings"),
-    [
-        pytest.param(env, settings, id=f"{env}-{name}", marks=[] if (env, name) in QUICK else [pytest.mark.slow])
-        for env, name, settings in METHODS
-    ],
-)
-def test_neither_workers_nor_a_resume_change_any_method(tmp_path, source, env, settings):
+@pytest.mark.parametrize(("backend", "env", "settings"), comparisons())
+def test_neither_workers_nor_a_resume_change_any_method(tmp_path, monkeypatch, source, backend, env, settings):
+    """The workers of the serial backend are 13 by name: members that share noise are divided as for so many."""
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
     two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
-    shes.resume(two, generations=3, backend="processes", num_workers=2, chunk_size=5)
+    monkeypatch.setattr(SerialBackend, "num_workers", 13)
+    shes.resume(two, generations=3, backend=backend, num_workers=2 * (backend == "processes"), chunk_size=5)
     assert runs.differences(one, two) == []
 
 
@@ -166,6 +181,9 @@ def test_a_primitive_on_branches_leaves_episodes_that_go_on(tmp_path):
     assert found["last.npz/running/steps"].max() == 16  # two generations of two intervals
     assert found["last.npz/running/states"].shape[0] == 6
     assert found["generation_000001.npz/running/steps"].max() == 8
+    settings = BY_ENVIRONMENT["point-flagrun"]["episodes that end"]
+    path = runs.train_tiny(tmp_path / "ends", "point-flagrun", **{**METHOD, **settings})
+    assert [runs.state(path, number).running is None for number in (1, 2, 3)] == [False, True, False]
 
 
 def test_every_choice_of_every_name_is_compared():
@@ -180,11 +198,7 @@ def test_every_choice_of_every_name_is_compared():
 
 def test_the_comparison_detects_a_bit_and_what_is_missing(run_copy, tiny_run):
     names = runs.numbers(tiny_run)
-    assert {
-        "progress.csv/env_steps",
-        "evaluation.csv/score_mean",
-        "last.npz/primitive/optimizer_second",
-    } <= names.keys()
+    assert {"progress.csv/env_steps", "evaluation.csv/score_mean", "last.npz/primitive/optimizer_second"} <= {*names}
     assert not any(name.endswith("_s") for name in names)
     assert runs.differences(tiny_run, tiny_run) == []
     last, table = run_copy / "checkpoints" / "last.npz", run_copy / "progress.csv"

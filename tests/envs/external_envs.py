@@ -15,9 +15,7 @@ class Car(gymnasium.Env):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 20}  # noqa: RUF012 - Gymnasium's own
     action_space = Box(np.array([-2, 0, -1], np.float32), np.array([2, 4, 1], np.float32))
     observation_space = Dict(
-        gear=Discrete(3),
-        pose=Box(-np.inf, np.inf, (3,), np.float64),
-        desired_goal=Box(-1, 1, (2,), np.float64),
+        gear=Discrete(3), pose=Box(-np.inf, np.inf, (3,), np.float64), desired_goal=Box(-1, 1, (2,), np.float64)
     )
 
     def __init__(self, render_mode=None, terminates_after=0, truncates_after=0, spoils="", value=np.nan, fault=""):

@@ -1,5 +1,7 @@
 """External environments: episodes, actions and the robot's pose are those of the Gymnasium environment."""
 
+import json
+import os
 import sys
 from types import SimpleNamespace
 
@@ -12,6 +14,8 @@ from gymnasium.spaces import Box
 from gymnasium.wrappers import TimeLimit
 from numpy.testing import assert_allclose, assert_array_equal
 
+import shes
+from shes.cli import main
 from shes.drawing.make_drawer import make_drawer
 from shes.envs.bodies.point import Point
 from shes.envs.named_environments import (
@@ -24,20 +28,13 @@ from shes.envs.named_environments import (
 )
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from shes.runs.make_config import make_config
+from shes.runs.tables import read_csv
+from shes.viewing.playback import Playback
 from tests.contracts import test_task_contract as contract
+from tests.e2e import runs
 from tests.e2e.own_classes import Corner
 from tests.envs.episodes import assert_same_view, draw_actions, play, view
-from tests.envs.external_envs import (
-    MAX_STEPS,
-    Body,
-    Car,
-    Holder,
-    Silent,
-    Stepper,
-    locate_by_info,
-    locate_car,
-    register,
-)
+from tests.envs.external_envs import MAX_STEPS, Body, Car, Holder, Silent, Stepper, locate_by_info, locate_car, register
 
 ANT_MAZE = "robotics-ant-maze"
 FREE = {"make": Body, "locate": None, "joints": "<freejoint/>"}
@@ -267,6 +264,82 @@ def test_the_limit_of_the_registration_is_not_applied():
     task = begin("limited", 1)
     assert not play(task, draw_actions(task, 4))["terminated"].any()
     assert play(task, draw_actions(task, 1))["terminated"].all()
+
+
+# Options: keyword arguments and options of the reset, from a run's settings to each of its environments.
+
+
+@pytest.fixture
+def made():
+    """Register `placed`, whose size is required and whose place each reset needs; return what it was given."""
+    given = []
+
+    class Placed(Car):
+        spec = SimpleNamespace(max_episode_steps=31)
+
+        def reset(self, *, seed=None, options=None):
+            super().reset(seed=seed)
+            self.place[:] = options["place"].pop()  # does not change what the next one gets
+            given.append(("reset", self.place.tolist()))
+            return self._observe(), self._info()
+
+    def make(parts, render_mode=None, **kwargs):
+        given.append(("made", parts.pop(), render_mode))
+        return Placed(render_mode, **kwargs)
+
+    register_external("placed", make, locate=locate_car)
+    return given
+
+
+PLACED = {"env_kwargs": {"parts": [1, 2], "truncates_after": 9}, "reset_options": {"place": [[5, 5], [3, 4]]}}
+TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 1, "population_size": 4}
+
+
+def test_every_environment_of_a_run_has_the_options_of_its_record(made, tmp_path, monkeypatch):
+    run = shes.train("placed", out=tmp_path / "run", **TINY, **PLACED)
+    shes.evaluate(run.path, episodes=2, num_workers=1)
+    playback = Playback(run.path, "last")
+    playback.task.draw_by("rgb_array")
+    next(playback.play(seed=3))
+    assert {*map(str, made)} == {*map(str, [("made", 2, None), ("made", 2, "rgb_array"), ("reset", [3.0, 4.0])])}
+    assert json.loads((run.path / "config.json").read_text())["config"]["environment"].items() >= PLACED.items()
+    assert make_config("placed", None, {"like": run.path}).values.items() >= PLACED.items()
+    assert find_environment("placed").with_options(PLACED).measured_bytes() >= 0
+    assert make_config("placed", "laptop", PLACED).episodes.horizon == 31
+    # An episode that it truncates has ended, but not terminated.
+    assert not run.progress["terminated_rate"].any()
+    assert_array_equal(run.progress["episode_steps_mean"], 9)
+    line = ["train", "placed", "--like", run, "--env-kwargs", '{"parts": [1], "terminates_after": 9}', "--out", "ends"]
+    monkeypatch.chdir(tmp_path)
+    assert main([*map(os.fspath, line)]) == 0
+    assert ("made", 1, None) in made
+    assert_array_equal(read_csv(tmp_path / "ends" / "progress.csv")["terminated_rate"], 1)
+
+
+def test_a_registered_environment_takes_arguments_of_gymnasium_make():
+    options = {"env_kwargs": {"max_episode_steps": 3, "terminates_after": 5}}
+    assert make_config("gymnasium:tests/Car-v0", "smoke", options).episodes.horizon == 3
+    task = find_environment("gymnasium:tests/Car-v0").with_options(options).make(1)
+    task.reset(np.array([0]), [1])
+    assert not play(task, draw_actions(task, 4))["terminated"].any()
+    assert play(task, draw_actions(task, 1))["terminated"].all()
+
+
+NO_OBJECT = r"env_kwargs must be a JSON object of names and values, e\.g\. --env-kwargs '{\"size\": 3}', got "
+REFUSED_OPTIONS = [
+    *(({"env_kwargs": each}, NO_OBJECT) for each in ("{size: 3}", "[3]", 3, "", '{"a b": 3}', {1: 2}, {"a": object()})),
+    *(({"env_kwargs": each}, NO_OBJECT) for each in ('{"a": NaN}', "[" * 9999, {"a": {(1, 2): 3}})),
+    ({"reset_options": "[]"}, r"reset_options must be a JSON object .*'{\"start\": \[0, 1\]}', got '\[\]'\. Set --res"),
+    ({"env_kwargs": {"fuel": 1}}, r"cannot be made with {'fuel': 1}: TypeError: .*unexpected keyword argument 'fuel'"),
+    ({"env": "point-maze", "env_kwargs": "{}"}, r"env_kwargs is not a setting of a run of point-maze .*Omit --env-kw"),
+]
+
+
+@pytest.mark.parametrize(("settings", "message"), REFUSED_OPTIONS)
+def test_options_that_do_not_fit_are_refused(settings, message, tmp_path):
+    with pytest.raises(ConfigError, match=message):
+        shes.train(out=tmp_path / "run", **{"env": "gymnasium:tests/Car-v0", "algorithm": "es", **settings})
+    assert list(tmp_path.iterdir()) == []
 
 
 # Failures.

@@ -46,15 +46,8 @@ def test_an_object_nearer_than_1_m_is_caught_once():
 def test_an_object_shows_in_the_bin_of_its_bearing(kind):
     """At the borders of bins and of the range, which the random states of the reference miss."""
     # Straight ahead is the border of the two front bins and belongs to the left one; bin 0 begins at bearing -pi.
-    for place, number in {
-        (4, 0): 5,
-        (4, -0.1): 4,
-        (-4, 0): 0,
-        (-4, -0.1): 0,
-        (-4, 0.1): 9,
-        (0, 4): 7,
-        (0, -4): 2,
-    }.items():
+    bins = {(4, 0): 5, (4, -0.1): 4, (-4, 0): 0, (-4, -0.1): 0, (-4, 0.1): 9, (0, 4): 7, (0, -4): 2}
+    for place, number in bins.items():
         task = start(**{("food", "poison")[kind]: [place]})
         step(task)
         seen = task.observe()[0, task.sensor_rings]

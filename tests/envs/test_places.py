@@ -1,9 +1,12 @@
-"""Places of a search in Maze, Push and Fall, decoded from physics states; and the way that the reward then follows."""
+"""Boxes of a world; places of a search in Maze, Push and Fall, and the way that the reward then follows."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from shes.envs.named_environments import ENVIRONMENTS, make_task
+from shes.envs.worlds import merged_boxes
 
 STANDING, LYING = (1, 0, 0, 0), (0, 1, 0, 0)
 
@@ -68,3 +71,19 @@ def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
         task.update_features()
     task.set_way(np.array([[6.0, 0]]))  # shorter, and the simulation is not reset
     assert task.update_features().tolist() == [0]
+
+
+@given(st.data())
+def test_boxes_cover_exactly_the_wall_cells_of_any_grid(data):
+    rows, columns = data.draw(st.integers(1, 6)), data.draw(st.integers(1, 6))
+    cells = data.draw(st.lists(st.sampled_from("#."), min_size=rows * columns, max_size=rows * columns))
+    robot = data.draw(st.integers(0, rows * columns - 1))
+    cells[robot] = "r"
+    boxes = merged_boxes(tuple("".join(cells[i * columns : (i + 1) * columns]) for i in range(rows)), "#")
+    assert sum(4 * half_width * half_depth for _, _, half_width, half_depth in boxes) == 64 * cells.count("#")
+    for number, cell in enumerate(cells):
+        x, y = 8.0 * (number % columns - robot % columns), 8.0 * (number // columns - robot // columns)
+        # Nine points of the cell: each lies in one box (so boxes do not overlap) or, in a free cell, in none.
+        for dx, dy in ((dx, dy) for dx in (-3.9, 0, 3.9) for dy in (-3.9, 0, 3.9)):
+            inside = sum(abs(x + dx - bx) < hx and abs(y + dy - by) < hy for bx, by, hx, hy in boxes)
+            assert inside == (cell == "#"), (cell, x + dx, y + dy)

@@ -30,9 +30,8 @@ def restored():
 
 @pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
 def test_an_unknown_environment_is_told_the_nearest_name(call):
-    with pytest.raises(
-        UnknownNameError, match=r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
-    ) as caught:
+    message = r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
+    with pytest.raises(UnknownNameError, match=message) as caught:
         call("pointgather")
     assert all(name in str(caught.value) for name in ENVIRONMENTS)
     assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)
@@ -55,6 +54,8 @@ def test_an_id_makes_the_environment_of_its_name(variant):
     for made in (gymnasium.make(variant.id).unwrapped, gymnasium.make_vec(variant.id, num_envs=2)):
         assert (type(made.task.body), made.task.name, made.task.options.spec) == (body, task, spec)
         assert made.observation_space.shape[-1] == made.task.observation_size == SIZES[name][spec == "hiro"]
+        fastest = made.observation_space.high[..., made.task.proprioception[-1]]
+        assert (fastest == (float("inf") if spec == "hiro" else 10)).all()
 
 
 def test_every_environment_has_its_id_in_both_specifications(monkeypatch):

@@ -281,7 +281,7 @@ def test_workers_receive_the_physics_alone_and_it_is_the_same(make, tmp_path):
     (tmp_path / "copy.zip").write_bytes(robot.file.content)
     assert read_robot(str(tmp_path / "copy.zip"))[1:] == robot.file[1:]
     whole, drawn, own = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml")), mujoco.MjSpec(), robot.alone()
-    robot.add_drawn_to(drawn)
+    robot.as_drawn().add_to(drawn)
     assert (own.nmesh, own.ncam, own.nsensor, own.ngeom) == (1, 0, 0, whole.ngeom - 1)
     assert drawn.compile().nmesh == 2
     names = [zipfile.ZipFile(io.BytesIO(each)).namelist() for each in robot.file[1:]]

@@ -135,6 +135,8 @@ def test_seeds_may_be_numpys_and_some_may_be_left_open():
     for other in same:
         np.testing.assert_array_equal(other, by_number)
     np.testing.assert_array_equal(env.reset(seed=(5, None, 7))[0][[0, 2]], by_number[[0, 2]])
+    followed = [(env.reset(seed=5), env.reset())[1][0] for _ in range(2)]
+    np.testing.assert_array_equal(*followed)
 
 
 def test_threads_change_no_bit():

@@ -39,9 +39,8 @@ def bits_of(level):
 
 def moving_level(table, optimizer):
     """Return a level that has made a step, so that its optimizer has a momentum."""
-    return updated(
-        level_of(np.linspace(-1, 2, 7), optimizer), [2, 1], [3], table, UpdateRule(optimizer=optimizer)
-    ).level
+    start = level_of(np.linspace(-1, 2, 7), optimizer)
+    return updated(start, [2, 1], [3], table, UpdateRule(optimizer=optimizer)).level
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
@@ -106,15 +105,13 @@ def test_diagnostics_without_a_value_are_nan(table, theta, shaped, signs, names)
     assert [name for name, value in vars(update).items() if name != "level" and np.isnan(value)] == names
 
 
-@given(
-    seed=st.integers(0, 2**63), generation=st.integers(0, 10**6), groups=st.integers(1, 50), extra=st.integers(0, 40)
-)
-def test_every_noise_slice_lies_inside_the_table(seed, generation, groups, extra):
+@given(seed=st.integers(0, 2**63), generation=st.integers(0, 10**6), groups=st.integers(1, 50), more=st.integers(0, 40))
+def test_every_noise_slice_lies_inside_the_table(seed, generation, groups, more):
     assert set(draw_noise_index(0, 0, 500, (7,), 10)[0].tolist()) == {0, 1, 2, 3}  # the first and the last, too
-    index = draw_noise_index(seed, generation, groups, (7, 12), 12 + extra)
+    index = draw_noise_index(seed, generation, groups, (7, 12), 12 + more)
     assert index.shape == (2, groups)
     assert index.min() >= 0
-    assert (index.max(axis=1) <= 12 + extra - np.array([7, 12])).all()
+    assert (index.max(axis=1) <= 12 + more - np.array([7, 12])).all()
 
 
 @pytest.mark.parametrize("values", [(0.1, 0.2), (1e-17, 1.0), (-0.3, 0.7)])

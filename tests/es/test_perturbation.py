@@ -42,13 +42,7 @@ def test_a_population_fits_every_generation_or_none(name, population, mirrored, 
 @pytest.mark.parametrize(
     ("name", "population", "mirrored", "learns", "message"),
     [
-        (
-            "many_to_many",
-            10,
-            "quad",
-            BOTH,
-            "multiple of 4, the size of a group with 'quad' mirroring when 2 levels are",
-        ),
+        ("many_to_many", 10, "quad", BOTH, "multiple of 4, the size of a group with 'quad' mirroring when 2 levels"),
         ("many_to_many", 7, "quad", CONTROLLER_ALONE, "1 level is perturbed, got 7. Set --population-size 6 or 8."),
         ("many_to_many", 0, "none", (True,), "got 0. Set --population-size 1 or 2."),
         ("one_to_many", 7, "quad", BOTH, "when 1 level is perturbed, got 7."),

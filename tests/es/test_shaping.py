@@ -6,18 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError, PolicyError
-from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, PairRanks
-from shes.options import make
+from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from tests.es import textbook
 
 # Few values, so many ties, and all exact in binary after any shift and scale below.
 fitnesses = st.lists(st.integers(-6, 6), min_size=1, max_size=25).map(lambda values: [*values, *reversed(values)])
 wide = st.lists(st.floats(-1e300, 1e300), min_size=20, max_size=20)
-TIES = ("average", "index")
-any_ties = st.sampled_from(TIES)
-every_shaping = pytest.mark.parametrize(
-    "shaping", [*(CentredRanks(rank_ties=ties) for ties in TIES), PairRanks()], ids=str
-)
+every_shaping = pytest.mark.parametrize("shaping", [cls() for cls in FITNESS_SHAPINGS.values()], ids=str)
 
 
 def _array(values):
@@ -43,9 +38,10 @@ def test_a_fitness_that_is_not_finite_is_refused(shaping, value):
         shaping(_array([0, 1, value, value]))
 
 
-@given(fitness=st.one_of(fitnesses, wide, st.lists(st.integers(-1000, 1000), min_size=2)), ties=any_ties)
-def test_centred_ranks_count_beaten_members(fitness, ties):
-    shaping = make(FITNESS_SHAPINGS, "centred_rank", {"rank_ties": ties, "other": 1})
+@pytest.mark.parametrize(("name", "ties"), [("centred_rank", "average"), ("centred_rank_index", "index")])
+@given(fitness=st.one_of(fitnesses, wide, st.lists(st.integers(-1000, 1000), min_size=2)))
+def test_centred_ranks_count_beaten_members(name, ties, fitness):
+    shaping = FITNESS_SHAPINGS.find(name)()
     assert shaping(_array(fitness)) == pytest.approx(textbook.centred_ranks(fitness, ties))
     assert shaping(_array(fitness[:1])).tolist() == [0]
 

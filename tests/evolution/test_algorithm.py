@@ -1,6 +1,6 @@
 """`evolve` on made-up fitness: the textbook's iterates, whoever is perturbed; schedules, and levels that rest.
 
-What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `rollout/test_same_numbers.py`.
+What is drawn is in `rollout/test_population.py`; the same bits on any workers, in `e2e/test_same_numbers.py`.
 """
 
 import math
@@ -16,15 +16,15 @@ from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import SGD
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.shaping import CentredRanks
-from shes.evolution.estimates import Schedule
+from shes.es.shaping import CentredRanks, IndexedRanks
+from shes.evolution.estimates import EvolutionSettings
 from tests.rollout.formula import (
     DIMS,
     EPISODES,
     SETTINGS,
     bits,
-    changing,
     check_against_textbook,
+    evolving,
     formula_run,
     formula_state,
 )
@@ -41,20 +41,20 @@ def table():
 @pytest.mark.parametrize("learns", [(True, True), (True, False), (False, True)])
 @pytest.mark.parametrize("name", sorted(PERTURBATIONS))
 def test_generations_are_the_textbooks(table, name, learns, mirrored):
-    settings = replace(SETTINGS, population_size=12, mirrored=mirrored, learns=learns)
+    settings = replace(evolving(population_size=12, mirrored=mirrored), learns=learns)
     check_against_textbook(table, replace(settings, perturbation=name), perturbation=name)
 
 
 @pytest.mark.parametrize("diverging", [(), ((2, 0), (7, 1))], ids=["finite", "diverging"])
-@pytest.mark.parametrize("ties", ["average", "index"])
-def test_ties_and_divergences_are_the_textbooks(table, ties, diverging):
-    rule = UpdateRule(weight_decay=0.005, shaping=CentredRanks(rank_ties=ties))
+@pytest.mark.parametrize(("shaping", "ties"), [(CentredRanks(), "average"), (IndexedRanks(), "index")])
+def test_ties_and_divergences_are_the_textbooks(table, shaping, ties, diverging):
+    rule = UpdateRule(weight_decay=0.005, shaping=shaping)
     settings = replace(SETTINGS, updates=(rule, rule))
     backend, reports = check_against_textbook(table, settings, diverging=diverging, ties=ties)
     whole = 8 * (100 + 101 + 102)
     assert [(each.state.generation, each.state.env_steps) for each in reports] == [(k, k * whole) for k in range(1, 6)]
     for generation, report in zip(backend.generations[1:], reports, strict=False):
-        assert not generation.is_evaluation
+        assert generation.kind == "training"
         for sent, level, dim in zip(generation.levels, report.state.levels, DIMS, strict=True):
             assert sent.theta.tobytes() == level.theta.tobytes()
             assert sent.mean == pytest.approx(np.full(dim, 2))  # 14 / 7
@@ -63,12 +63,12 @@ def test_ties_and_divergences_are_the_textbooks(table, ties, diverging):
 
 
 def test_generations_with_schedules_are_the_textbooks(table):
-    scheduled = replace(SETTINGS, sigma=changing(0.1, 0.025, 4), learning_rate=changing(0.02, 0.001, 3))
+    scheduled = evolving(sigma_end=0.025, learning_rate_end=0.001, schedule_generations=4)
     backend, reports = check_against_textbook(table, scheduled, generations=6)
     sigmas = [0.1 / 2 ** (min(t, 4) / 2) for t in range(6)]
     assert [generation.sigma for generation in backend.generations] == pytest.approx(sigmas)
     assert [report.populations[0].generation.sigma for report in reports] == pytest.approx(sigmas)
-    rates = [0.02 * 20 ** (-min(t, 3) / 3) for t in range(6)]
+    rates = [0.02 * 20 ** (-min(t, 4) / 4) for t in range(6)]
     assert [report.populations[0].learning_rate for report in reports] == pytest.approx(rates)
 
 
@@ -112,15 +112,14 @@ def test_in_turns_a_level_rests_but_goes_on_observing(table):
     state = formula_state()
     for generation, report in enumerate(formula_run(table, 4, replace(SETTINGS, perturbation="one_to_many"), state)[1]):
         before, after = ([bits([own.theta, own.optimizer]) for own in each.levels] for each in (state, report.state))
-        assert [one == other for one, other in zip(before, after, strict=True)] == [
-            generation % 2 == 1,
-            generation % 2 == 0,
-        ]
+        rests = [one == other for one, other in zip(before, after, strict=True)]
+        assert rests == [generation % 2 == 1, generation % 2 == 0]
         assert {level.statistics.count for level in report.state.levels} == {(generation + 1) * 8 * EPISODES * 7}
         state = report.state
 
 
 @given(start=positive, end=positive, generations=st.integers(1, 10_000), beyond=st.integers(0, 10**9))
 def test_start_and_end_of_a_schedule_are_exact(start, end, generations, beyond):
-    schedule = Schedule(start=start, end=end, generations=generations)
-    assert (schedule.value(0), schedule.value(generations + beyond)) == (start, end)
+    for name in ("sigma", "learning_rate"):
+        settings = EvolutionSettings(**{name: start, f"{name}_end": end}, schedule_generations=generations)
+        assert (settings.value(name, 0), settings.value(name, generations + beyond)) == (start, end)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shes.errors import CheckpointError
-from shes.evolution.state import RunningEpisodes
+from shes.rollout.episodes import Snapshot
 from shes.runs.build import build_algorithm
 from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
 from shes.runs.make_config import make_config
@@ -26,7 +26,7 @@ def state(learner):
     """A state after a while, with episodes that go on."""
     levels = [replace(level, statistics=level.statistics.merge(10**12, level.statistics.mean + 1, level.statistics.std))
               for level in learner.start(3).levels]  # fmt: skip
-    running = RunningEpisodes(states=np.full((4, 52), 1e-300), steps=np.array([-1, 0, 5, 7]))
+    running = (None, *(Snapshot(state=np.full(52, 1e-300), steps=steps) for steps in (0, 5, 7)))
     return replace(learner.start(2**62), generation=9, env_steps=10**13, levels=tuple(levels), running=running)
 
 
@@ -50,11 +50,8 @@ def ending_in(value):
     return lambda array: np.append(array.ravel()[:-1], value).reshape(array.shape).astype(array.dtype)
 
 
-OF_RUN, OTHER, NAN = (
-    "is not of this run: it {} Put back",
-    "holds {} as .*, where this run has ",
-    "NaN or infinity in {}",
-)
+OTHER, NAN = "holds {} as .*, where this run has ", "NaN or infinity in {}"
+OF_RUN = "is not of this run: it {} Put back"
 CHANGES = [
     ("controller/theta", lambda array: array[:-1], OTHER),
     ("primitive/theta", lambda array: array[None], OTHER),

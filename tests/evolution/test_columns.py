@@ -11,7 +11,7 @@ from shes.evolution.algorithm import GenerationReport, sources_of_fitness
 from shes.evolution.estimates import Population
 from shes.evolution.state import TrainState
 from shes.evolution.strategies import columns
-from shes.rollout.episodes import PARTS, Generation
+from shes.rollout.episodes import PARTS, Generation, empty_outcomes
 from shes.rollout.roll_out import PopulationResults
 from shes.runs.tables import read_csv
 from tests.e2e import runs
@@ -19,12 +19,12 @@ from tests.e2e import runs
 
 def population(returns, noise_index, signs=None, levels=(0, 1), rate=0.03125, **outcomes):
     """Return a population with these `returns` [L, n, E] and other quantities [n, E]."""
-    results = PopulationResults.empty(len(returns), *np.shape(returns)[1:])
+    results = PopulationResults(outcomes=empty_outcomes(len(returns), *np.shape(returns)[1:]))
     results.returns[:] = returns
     for name, values in outcomes.items():
         results.outcomes[name] = values
     episodes = results.outcomes.shape[1]
-    generation = Generation(levels=(), sigma=2 * rate, episodes_per_policy=episodes, is_evaluation=False)
+    generation = Generation(levels=(), sigma=2 * rate, episodes_per_policy=episodes)
     signs = np.ones((len(noise_index[0]), 1, len(levels))) if signs is None else signs
     return Population(levels=levels, signs=np.array(signs, np.int8), noise_index=np.array(noise_index), tasks=[],
                       generation=generation, learning_rate=rate, results=results)  # fmt: skip
@@ -128,8 +128,7 @@ def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
 
 
 @pytest.mark.parametrize(
-    ("env", "settings", "name"),
-    [("point-gather", {"algorithm": "es"}, "policy"), ("point-flagrun", {}, "primitive")],
+    ("env", "settings", "name"), [("point-gather", {"algorithm": "es"}, "policy"), ("point-flagrun", {}, "primitive")]
 )
 def test_a_run_of_one_level_has_the_columns_of_that_level_alone(tmp_path, env, settings, name):
     table = read_csv(runs.train_tiny(tmp_path / "run", env, generations=1, **settings) / "progress.csv")

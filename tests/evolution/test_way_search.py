@@ -99,7 +99,7 @@ def test_a_search_finds_a_way_shortens_it_and_ends():
     is_over = [state.archive.is_over for state in found]
     assert found[-1].env_steps == found[is_over.index(True)].env_steps  # from then on nothing is paid
     assert max(start.steps for start in backend.starts) < 200  # five decisions before the horizon at the latest
-    assert {(each.kind, each.sigma, each.is_evaluation) for each in backend.generations} == {("exploration", 0, False)}
+    assert {(each.kind, each.sigma) for each in backend.generations} == {("exploration", 0)}
 
 
 def test_walkers_turn_at_times_each_in_directions_of_its_own():
@@ -123,9 +123,7 @@ def test_walkers_turn_at_times_each_in_directions_of_its_own():
 
 def test_a_frozen_primitive_searches_until_a_way_is_known():
     """Many slices in one generation, as long as nothing else can be learned; a slice is one walk here."""
-    slowly, found, limited = (
-        searched(0.4, *most, 400, slices=slices)[0] for *most, slices in ((12, 1), (2, 10), (1, 2))
-    )
+    slowly, found, limited = (searched(0.4, *most, 400, slices=of)[0] for *most, of in ((12, 1), (2, 10), (1, 2)))
     assert 2 < [bool(state.archive.way_steps) for state in slowly].index(True) + 1 <= 10
     assert [bool(state.archive.way_steps) for state in (*found, *limited)] == [True, True, False]
     later = found[1].env_steps - found[0].env_steps
@@ -200,11 +198,7 @@ def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path):
         ("point-maze", {"target": (8.0, 0.0)}, r"16\.0\), while .* is \(8\.0, 0\.0\)\. Set --target 0 16"),
         ("point-push", {"explore_horizon": 9}, r"must be at least controller_interval, 25.*, got 9\. Set"),
         ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
-        (
-            "point-push",
-            {"primitive_view": "observation"},
-            r"sees the task's .* Set --primitive-view egocentric or prop",
-        ),
+        ("point-push", {"primitive_view": "observation"}, r"sees the task's .* Set --primitive-view egocentric or p"),
         ("point-push", {"explore": "none", "explore_horizon": 9}, r"explore_horizon has no effect with explore 'none'"),
     ],
 )

@@ -23,9 +23,9 @@ def a_plan():
     return build_algorithm(make_config("point-gather", "smoke", {**SETTINGS, "chunk_size": 3})).plan()
 
 
-def generation_of(plan, *, episodes=2, is_evaluation=False):
+def generation_of(plan, *, episodes=2, kind="training"):
     levels = levels_of(plan.design)
-    return Generation(levels=levels, sigma=0.1, episodes_per_policy=episodes, is_evaluation=is_evaluation)
+    return Generation(levels=levels, sigma=0.1, episodes_per_policy=episodes, kind=kind)
 
 
 def numbered_tasks(count, episodes=2):
@@ -48,7 +48,7 @@ def run(worker, count=4, share=4, **generation):
 
 
 def returns_of(results):
-    return {number: result.returns.tobytes() for number, result in results.items()}
+    return {number: result.outcomes["returns"].tobytes() for number, result in results.items()}
 
 
 def test_environments_that_do_not_fit_are_closed_and_others_kept():
@@ -64,10 +64,9 @@ def test_environments_that_do_not_fit_are_closed_and_others_kept():
             return task
 
     worker = RolloutWorker(replace(a_plan(), env=Counting()))
-    for episodes, share, is_evaluation in (
-        (2, 2, False), (2, 2, False), (4, 2, True), (2, 2, False), (3, 2, False), (3, 1, False)
-    ):  # fmt: skip
-        run(worker, 2, share, episodes=episodes, is_evaluation=is_evaluation)
+    for episodes, share in ((2, 2), (2, 2), (4, 2), (2, 2), (3, 2), (3, 1)):
+        kind = "evaluation" if episodes == 4 else "training"
+        run(worker, 2, share, episodes=episodes, kind=kind)
     # Two lanes of 2, of 4 and of 3 episodes, then a single lane of 3.
     assert made == [(4, False), (8, True), (6, False), (3, False)]
     assert closed == [4, 6]

@@ -12,9 +12,7 @@ import pytest
 import shes.rollout.worker
 from shes.errors import ConfigError
 from shes.rollout.lockstep import Rollout
-from shes.rollout.worker import RolloutWorker, simulator_factory
-from shes.sim.simulator import CpuSimulator
-from shes.sim.warp import WarpSimulator
+from shes.rollout.worker import RolloutWorker
 from tests.evolution.test_worker import a_plan, returns_of, run
 
 MEMBERS = 7
@@ -58,14 +56,7 @@ def device(monkeypatch):
     memory = SimpleNamespace(release_memory=lambda: None)
     monkeypatch.setattr(shes.rollout.worker, "Rollout", Limited)
     monkeypatch.setattr(shes.rollout.worker, "WarpDevice", lambda _: memory)
-    monkeypatch.setattr(shes.rollout.worker, "simulator_factory", lambda *_: CpuSimulator)
     return found
-
-
-def test_the_cpu_and_a_device_make_their_own_physics():
-    assert simulator_factory("cpu", None, None) is CpuSimulator
-    factory = replace(a_plan(), device="warp-cpu", njmax=4).simulator
-    assert (factory.func, factory.keywords) == (WarpSimulator, {"device": "warp-cpu", "nconmax": None, "njmax": 4})
 
 
 @pytest.mark.parametrize(("chunk_size", "tried"), [(0, MEMBERS), (5, 4)])
@@ -119,7 +110,7 @@ def test_training_and_evaluation_take_turns_if_only_one_fits(device, expected):
     worker = on_device()
     assert play(worker) == (expected, [])
     device.step = Mock(side_effect=[MemoryError("out of memory"), *[None] * 99])
-    assert play(worker, is_evaluation=True)[1] == []
+    assert play(worker, kind="evaluation")[1] == []
     device.step = None
     assert play(worker) == (expected, [])
     assert device.tried == [MEMBERS] * 4

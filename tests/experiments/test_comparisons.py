@@ -90,9 +90,7 @@ def test_times_are_compared_seed_by_seed():
     made = experiment(*members, metrics={"point-gather": Measure("seconds", "seconds")}, has_ratios=True)
 
     def found(seeds):
-        rows = compared(
-            made, lambda each: {"seconds": seconds[each.variant][each.seed]} if each.seed in seeds else None
-        )
+        rows = compared(made, lambda one: {"seconds": seconds[one.variant][one.seed]} if one.seed in seeds else None)
         return rows["point-gather", "two", "base"]
 
     row = found({1, 2, 3})

@@ -2,15 +2,7 @@
 
 import pytest
 
-from experiments.results import (
-    SUMMARY,
-    RunResults,
-    read_results,
-    read_summary,
-    read_tables,
-    write_summary,
-    write_tables,
-)
+from experiments.results import RunResults, read_results, read_summary, read_tables, write_summary, write_tables
 from shes.errors import RunFolderError
 from tests.experiments.tiny import experiment, run
 
@@ -36,7 +28,7 @@ def test_a_summary_is_read_back_unless_settings_differ(tmp_path):
 @pytest.mark.parametrize("text", ["{", "[]", '{"row": {}}'])
 def test_a_damaged_summary_says_what_to_do(tmp_path, text):
     write_summary(run(), tmp_path, results_of(run()))
-    (tmp_path / run().name / SUMMARY).write_text(text)
+    (tmp_path / run().name / "summary.json").write_text(text)
     with pytest.raises(RunFolderError, match=r"summary\.json cannot be read: .*Remove it to have it made again"):
         read_results(ONE, tmp_path)
 

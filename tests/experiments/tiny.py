@@ -9,15 +9,8 @@ SCORE = Measure("best_score", "score")
 
 
 def run(variant="base", seed=5, env="point-gather", group="choices", primitive=None, **settings):
-    return Run(
-        group=group,
-        variant=variant,
-        env=env,
-        seed=seed,
-        primitive=primitive,
-        settings={**TINY, **settings},
-        preset="smoke",
-    )
+    own = {"settings": {**TINY, **settings}, "preset": "smoke"}
+    return Run(group=group, variant=variant, env=env, seed=seed, primitive=primitive, **own)
 
 
 def experiment(*members, **options):

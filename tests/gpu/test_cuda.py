@@ -27,14 +27,8 @@ DEVICE = os.environ.get("SHES_TEST_DEVICE", "cuda")
 SIMULATOR = partial(WarpSimulator, device=DEVICE)
 # Feet touch the floor and the block of Push rests against walls: those agree with C mostly, not always.
 IN_CONTACT = {"ant", "one-hot"}
-TINY = {
-    "preset": "smoke",
-    "population_size": 16,
-    "horizon": 20,
-    "noise_table_size": 200_000,
-    "evaluation_episodes": 4,
-    "evaluation_interval": 1,
-}
+TINY = {"preset": "smoke", "population_size": 16, "horizon": 20, "noise_table_size": 200_000}
+TINY |= {"evaluation_episodes": 4, "evaluation_interval": 1}
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +74,17 @@ def test_a_run_goes_from_the_cpu_to_the_card_and_back(env, tmp_path):
     record = json.loads((run / "config.json").read_text())
     assert [part["device"]["name"] for part in (record, *record["resumed"])] == ["cpu", DEVICE, "cpu"]
     assert RunFolder.open(run).load("last").generation == 5
+
+
+@pytest.mark.parametrize("env", ["ant-gather", "ant-push"])
+def test_deterministic_runs_are_bit_identical(env, tmp_path):
+    """Feet touch the ground all the time, and the block of Push has box-box contacts. Also after a resume."""
+    one, again, resumed = (tmp_path / name for name in ("one", "again", "resumed"))
+    settings = {**TINY, "population_size": 64, "horizon": 60, "device": DEVICE, "deterministic": True}
+    for path, generations in ((one, 3), (again, 3), (resumed, 2)):
+        shes.train(env, out=path, generations=generations, **settings)
+    shes.resume(resumed, generations=3)
+    assert [runs.differences(one, other) for other in (again, resumed)] == [[], []]
 
 
 def test_a_population_in_parts_is_the_same_population(tmp_path):

@@ -1,7 +1,7 @@
 """Generations without physics, in which rewards are a formula, and the comparison of the numbers of runs."""
 
 import itertools
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from shes.backends.backend import Backend
 from shes.es.level import LevelState, UpdateRule
 from shes.es.statistics import Moments
 from shes.evolution.algorithm import evolve
-from shes.evolution.estimates import Hyperparameters, Schedule
+from shes.evolution.estimates import EvolutionSettings, Hyperparameters
 from shes.evolution.state import TrainState
 from shes.rollout.episodes import EpisodeResults
 from tests.es.textbook import TextbookES
@@ -20,22 +20,16 @@ DIMS = (3, 5)
 EPISODES = 3
 
 
-def constant(value):
-    return Schedule(start=value)
-
-
-def changing(start, end, generations):
-    return Schedule(start=start, end=end, generations=generations)
-
-
 SETTINGS = Hyperparameters(
-    population_size=8,
-    episodes_per_policy=EPISODES,
-    sigma=constant(0.1),
-    learning_rate=constant(0.02),
+    evolution=EvolutionSettings(population_size=8, episodes_per_policy=EPISODES, sigma=0.1, learning_rate=0.02),
     updates=(UpdateRule(weight_decay=0.005),) * 2,
     learns=(True, True),
 )
+
+
+def evolving(settings=SETTINGS, **values):
+    """Return `settings` with other values of the settings of evolution."""
+    return replace(settings, evolution=replace(settings.evolution, **values))
 
 
 class FormulaBackend(Backend):
@@ -68,14 +62,11 @@ class FormulaBackend(Backend):
             luck = slot - (episodes - 1) / 2  # each episode pays a little more or less: fitness is a mean over episodes
             has_diverged.append((task.member + member, slot) in self.diverging)
             returns.append([1e6 if has_diverged[-1] else paid + luck for paid in formula(*policy)])
-        moments = tuple(
-            Moments(count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0))
-            for size in DIMS
-        )
+        totals = [[np.full((k, size), total) for total in (14.0, 63.0)] for size in DIMS]
+        moments = tuple(Moments(count=np.full(k, 7), total=one, total_squares=other) for one, other in totals)
+        steps = 100 + np.array(task.slots) % episodes
         return EpisodeResults(
-            outcomes=outcomes(
-                returns=np.array(returns), has_diverged=has_diverged, steps=100 + np.array(task.slots) % episodes
-            ),
+            outcomes=outcomes(returns=np.array(returns), has_diverged=has_diverged, steps=steps),
             moments=moments if task.records_statistics else None,
         )
 
@@ -107,13 +98,14 @@ def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, di
 def check_against_textbook(table, settings, generations=5, diverging=(), **options):
     """Compare a run with the textbook's; return its backend and its reports."""
     backend, reports = formula_run(table, generations, settings, diverging=diverging)
+    own, episodes = settings.evolution, settings.evolution.episodes_per_policy
     book = TextbookES(
         [level.theta for level in backend.generations[0].levels],
-        mirrored=settings.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
+        mirrored=own.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
     )  # fmt: skip
     for generation, report in enumerate(reports):
-        book.sigma, book.rate = settings.sigma.value(generation), settings.learning_rate.value(generation)
-        rows, episodes = zip(report.populations[0].noise_index, DIMS, strict=True), settings.episodes_per_policy
+        book.sigma, book.rate = own.value("sigma", generation), own.value("learning_rate", generation)
+        rows = zip(report.populations[0].noise_index, DIMS, strict=True)
         noise = [[table.slice(i, dim) for i in row.tolist()] for row, dim in rows]
         paid = np.array([formula(*pair) for pair in book.candidates(noise)]).T[:, :, None]
         paid = paid + np.arange(episodes) - (episodes - 1) / 2

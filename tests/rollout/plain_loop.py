@@ -17,7 +17,7 @@ def _stream(seed, key):
 def added(design, generation, seed, horizon, action_size):
     """Return what is added in an episode to the outputs of the controller [D, .] and to the controls [T, A]."""
     decisions, size = -(-horizon // design.controller_interval), design.decision_size
-    explores = not generation.is_evaluation and not generation.branch_steps
+    explores = generation.kind == "training"
     shapes, rng = ((decisions, size), (horizon, action_size)), _stream(seed, 1)
     decision, control = (
         rng.standard_normal(shape, dtype=np.float32) * np.float32(EXPLORATION_STD * explores) for shape in shapes

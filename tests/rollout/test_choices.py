@@ -124,20 +124,11 @@ class Column(Nearness):
 @pytest.mark.parametrize(
     ("registry", "wrong", "message"),
     [
-        (
-            goals.GOAL_ENCODINGS, Forgetful,
-            r"write .* each of its 4 features .*left \[1\.0, 1\.0, 1\.414.*, nan\]\. .*`size`",
-        ),
-        (
-            goals.CONTROLLER_OUTPUTS, Sideways,
-            r"return an array \[N, 2\].*for 3 episodes .* shape \(2, 3\), not \(3, 2\)",
-        ),
-        (
-            rewards.PRIMITIVE_REWARDS, Column,
-            r"return an array \[N\].*for 2 episodes it returned shape \(2, 1\), not \(2,\)",
-        ),
+        (goals.GOAL_ENCODINGS, Forgetful, r"write .* each of its 4 features .*left \[1\.0, 1\.0, .*, nan\]\. .*`size`"),
+        (goals.CONTROLLER_OUTPUTS, Sideways, r"return an array \[N, 2\].*for 3 episodes .* \(2, 3\), not \(3, 2\)"),
+        (rewards.PRIMITIVE_REWARDS, Column, r"return an array \[N\].*for 2 episodes it .* \(2, 1\), not \(2,\)"),
     ],
-)  # fmt: skip
+)
 def test_a_choice_of_a_wrong_shape_is_refused(registry, wrong, message, monkeypatch):
     monkeypatch.setitem(registry, "own", wrong)  # forgotten after this test
     with pytest.raises(ConfigError, match=rf"{registry.kind} 'own' must {message}"):

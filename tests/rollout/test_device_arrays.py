@@ -103,7 +103,7 @@ def assert_close(mine, theirs, tolerance=1e-5):
         *((name, 8, 3, {}) for name in CHOICES),
         *((name, 2, 1, {}) for name in ("gather", "flat", "one level in turns")),  # members share their noise
         ("gather", 3, 3, {}),  # a population that does not fit goes in waves
-        *(("equivariant", 8, 3, {"decisions": each, "is_evaluation": True}) for each in ("zero", "wander", 0.5)),
+        *(("equivariant", 8, 3, {"decisions": each, "kind": "evaluation"}) for each in ("zero", "wander", 0.5)),
     ],
 )
 def test_a_device_gives_the_cpus_numbers_with_two_waits_a_step(name, lanes, episodes, changed):

@@ -10,12 +10,12 @@ import pytest
 from shes.backends.backend import SerialBackend
 from shes.es.level import draw_noise_index
 from shes.evolution.algorithm import evolve, roll_out
-from shes.evolution.estimates import IntervalEstimate, draw_episodes, draw_pairs
+from shes.evolution.estimates import EvolutionSettings, IntervalEstimate, draw_episodes, draw_pairs
 from shes.rollout.episodes import Snapshot
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
-from tests.rollout.formula import SETTINGS, bits, changing, constant, formula_state
+from tests.rollout.formula import SETTINGS, bits, evolving, formula_state
 from tests.rollout.plain_loop import play
 
 PAIRS = 6
@@ -23,8 +23,8 @@ STEPS = 5
 """Control steps of an interval."""
 HORIZON = 23
 """Control steps of an episode: the last interval is cut short."""
-ESTIMATE = IntervalEstimate(population_size=2 * PAIRS, intervals=2, controller_interval=STEPS, goal_distance=4.0,
-                            sigma=changing(0.2, 0.1, 2), learning_rate=constant(0.03))  # fmt: skip
+PAIRED = EvolutionSettings(population_size=2 * PAIRS, sigma=0.2, sigma_end=0.1, schedule_generations=2)
+ESTIMATE = IntervalEstimate(evolution=PAIRED, intervals=2, controller_interval=STEPS, goal_distance=4.0)
 BESIDE = replace(SETTINGS, intervals=ESTIMATE, horizon=HORIZON)
 ALONE = replace(BESIDE, updates=SETTINGS.updates[:1], learns=(True,))
 
@@ -70,7 +70,7 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number):
 
 @pytest.mark.parametrize(("horizon", "decisions"), [(23, 5), (25, 5), (26, 6), (3, 1)])
 def test_whole_episodes_leave_snapshots_at_any_decision(horizon, decisions):
-    settings = replace(BESIDE, population_size=400, horizon=horizon, episodes_per_policy=1)
+    settings = replace(evolving(BESIDE, population_size=400, episodes_per_policy=1), horizon=horizon)
     draws = draw_episodes(replace(formula_state(), generation=2), settings, 1000)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(7, 2))))
     steps = [steps for task in draws.tasks for steps in task.snapshot_steps]
@@ -95,11 +95,10 @@ ANT = {
     "reset_noise": 0.6,  # some are in the air, or on their backs: they fall sooner or later
     "sigma": 0.3,
     "clock_frequency": 1.3,  # goes on in a branch from where its episode was
-    "rank_ties": "index",
     "chunk_size": 4,  # lanes are used again, out of step with each other
 }
 UNDER_CONTROLLER = {"intervals": 3, "primitive_population_size": 12, "primitive_sigma": 0.2,
-                    "primitive_learning_rate": 0.07}  # fmt: skip
+                    "primitive_learning_rate": 0.07, "fitness_shaping": "centred_rank_index"}  # fmt: skip
 
 
 class Case:
@@ -119,9 +118,8 @@ class Case:
         return play(design, make, task, generation, self.table, horizon)
 
     def draw(self, before=()):
-        return (draw_pairs if before else self.settings.estimates[0])(
-            self.state, self.settings, self.table.size, before
-        )
+        draw = draw_pairs if before else self.settings.estimates[0]
+        return draw(self.state, self.settings, self.table.size, before)
 
     def check(self, population):
         """Compare each task's outcomes with the plain loop; return what that saw, by the task's first member."""
@@ -129,8 +127,8 @@ class Case:
         for member, played in found.items():
             mine = population.results.outcomes[member : member + len(played.outcomes), 0]
             assert np.array_equal(mine, played.outcomes)
-        for level, moments in enumerate(population.results.moments):
-            assert moments.count == sum(np.array(played.moments[level])[:, 0].sum() for played in found.values())
+        for level, statistics in enumerate(population.results.statistics):
+            assert statistics.count == sum(np.array(played.moments[level])[:, 0].sum() for played in found.values())
         return found
 
 
@@ -215,10 +213,8 @@ def test_running_episodes_go_on_where_the_kept_side_ended(alone):
             run, has_fallen = played[task.member], played[task.member].outcomes[kept]["has_fallen"]
             goes_on = not has_fallen and before + 10 < 30
             seen.add((before, has_fallen, goes_on))
-            assert (-1 if running is None else running.steps[group]) == (before + 10 if goes_on else -1)
-            assert not goes_on or running.states[group].tobytes() == run.ends[kept].tobytes()
-            old = -1 if state.running is None else state.running.steps[group]
-            assert (task.start is None) == (old < 0)
-            assert old < 0 or bits(task.start) == bits(Snapshot(state=state.running.states[group], steps=int(old)))
+            end = running and running[group]
+            assert bits(end) == bits(Snapshot(state=run.ends[kept], steps=before + 10) if goes_on else None)
+            assert task.start is (state.running and state.running[group])
         state = report.state
     assert {(0, False, True), (10, False, True), (20, False, False), (0, True, False)} <= seen

@@ -1,24 +1,28 @@
-"""A population: what is drawn for its members, and what their results are worth to each level."""
+"""A population: what is drawn for its members, how tasks are divided, and what results are worth to each level."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, member_signs
 from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
-from shes.rollout.roll_out import PopulationResults
+from shes.rollout.episodes import empty_outcomes
+from shes.rollout.roll_out import PopulationResults, divide
 from tests.es.textbook import centred_ranks, group_signs
-from tests.rollout.formula import SETTINGS, formula_state
+from tests.rollout.formula import evolving, formula_state
+from tests.rollout.made_up import make_task
 
 # What is drawn --------------------------------------------------------------------------------------------------------
 
 
 def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
     """Return the members of a generation and, per member, its task's quantities."""
-    settings = replace(SETTINGS, population_size=population, episodes_per_policy=episodes, **options)
+    settings = evolving(population_size=population, episodes_per_policy=episodes, **options)
     settings = replace(settings, perturbation=perturbation)
     draws, members = draw_episodes(replace(formula_state(), generation=generation, seed=seed), settings, 50_000), []
     for task in draws.tasks:
@@ -78,7 +82,7 @@ def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
         ([[3], [-9]], [[1], [1]], [3, -9]),  # there is nothing to compare with
         ([[1, 3], [0, 2]], [[0, 0], [0, 0]], [2, 1]),
     ):
-        results = PopulationResults.empty(2, len(returns), len(returns[0]))
+        results = PopulationResults(outcomes=empty_outcomes(2, len(returns), len(returns[0])))
         results.returns[:] = returns, np.add(returns, 100)  # each level has its own worst
         results.has_diverged[:] = has_diverged
         assert results.fitness.tolist() == [fitness, np.add(fitness, 100).tolist()]
@@ -104,3 +108,33 @@ def test_the_price_of_a_fall_goes_past_ranks():
     assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
     for share in (0.0, 1.0):
         assert dear.shape(fitness, signs, np.full(8, share)).tobytes() == plain.tobytes()
+
+
+# How tasks are divided between workers --------------------------------------------------------------------------------
+
+
+@given(sizes=st.lists(st.integers(1, 6), max_size=20), num_workers=st.integers(1, 60))
+def test_every_episode_is_in_one_part_and_in_order(sizes, num_workers):
+    tasks = [make_task(member, range(size)) for member, size in enumerate(sizes)]
+    parts = divide(tasks, num_workers)
+    kept = [(part.member, slot, seed) for part in parts for slot, seed in zip(part.slots, part.seeds, strict=True)]
+    assert kept == [
+        (task.member, slot, seed) for task in tasks for slot, seed in zip(task.slots, task.seeds, strict=True)
+    ]
+    assert all(part.slots for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("num_tasks", "size", "num_workers", "part"),
+    [
+        (250, 20, 2, 20),
+        (250, 20, 240, 5),  # five parts each: whole tasks would be two for some, and leave others idle
+        (250, 20, 250, 20),
+        (250, 20, 600, 10),
+        (1, 20, 2, 10),
+        (1, 20, 60, 1),
+    ],
+)
+def test_tasks_are_as_small_as_workers_need_them(num_tasks, size, num_workers, part):
+    parts = divide([make_task(member, range(size)) for member in range(num_tasks)], num_workers)
+    assert {len(each.slots) for each in parts} == {part}

@@ -20,8 +20,8 @@ HORIZON = 23
 EPISODES = 3
 DESIGN = designs.both(hidden=(16,))
 FREE, GOALS = FakeEnvironment(), FakeEnvironment(goal_interval=designs.INTERVAL)
-TRAINING = {"sigma": 0.2, "episodes_per_policy": EPISODES, "is_evaluation": False}
-EVALUATION = {**TRAINING, "is_evaluation": True}
+TRAINING = {"sigma": 0.2, "episodes_per_policy": EPISODES}
+EVALUATION = {**TRAINING, "kind": "evaluation"}
 GROUPS = {**TRAINING, "episodes_per_policy": 1, "members_per_lane": 4}
 CASES = {
     "both": (DESIGN, FREE, TRAINING),
@@ -123,17 +123,17 @@ def test_the_ends_of_episodes_by_hand():
         rollout = Rollout(DESIGN, make, 1, 6, 20)
         rollout.batch.stays_for = stays_for
         found.append(results_of(rollout, [task])[1])
-    results, paid = found
+    results, paid = (each.outcomes.view(np.recarray) for each in found)
     assert results.steps.tolist() == [4, 20, 6, 5, 5, 20]
     assert results.has_terminated.tolist() == [True, False, False, False, True, True]
     assert results.has_fallen.tolist() == [False, False, False, False, True, False]  # after an odd number of steps
     assert results.has_diverged.tolist() == [False, False, True, True, False, False]
     assert (results.score[2], results.success[2]) == (0, False)
-    assert results.returns[0, 2] == before[5][2] != 0
-    assert results.returns[0].tolist() == results.environment_returns.tolist()
+    assert results.returns[2, 0] == before[5][2] != 0
+    assert results.returns[:, 0].tolist() == results.environment_returns.tolist()
     extra = [-2.0 * 16, 0, 0, 0, -2.0 * 15, 0]
     assert paid.environment_returns - results.environment_returns == pytest.approx(extra)
-    assert paid.returns - results.returns == pytest.approx(np.array([extra, [0] * 6]))
+    assert paid.returns - results.returns == pytest.approx(np.array([extra, [0] * 6]).T)
 
 
 def test_tasks_are_taken_when_a_lane_is_free():
@@ -175,8 +175,7 @@ def test_an_observation_of_nan_does_not_blame_parameters():
     def on_step(task, *_):
         task.observes_nan[4] = task.age[4] == 6
 
-    tasks = [
-        replace(task, seeds=tuple(make_seed(draw=10 * m + k) for k in range(3))) for m, task in enumerate(tasks_of())
-    ]
+    seeds = [tuple(make_seed(draw=10 * m + k) for k in range(3)) for m in range(len(tasks_of()))]
+    tasks = [replace(task, seeds=own) for task, own in zip(tasks_of(), seeds, strict=True)]
     with pytest.raises(PolicyError, match=rf"member 9 returned NaN .* at step 7; episode seed {tasks[9].seeds[1]}\."):
         results_of(rollout_of(2, make=lambda n: FakeTask(n, on_step)), tasks[8:10])

@@ -86,7 +86,7 @@ def moving(config, rows):
 
 
 @pytest.mark.parametrize(
-    "variant", [each for each in VARIANTS if not ENVIRONMENTS[each.name].task.sets_goals], ids="-".join
+    "variant", [one for one in VARIANTS if not ENVIRONMENTS[one.name].task.sets_goals], ids="-".join
 )
 def test_a_controllers_egocentric_view_has_all_else_behind(variant):
     config = make_config(variant.name, "smoke", {"controller_view": "egocentric", "spec": variant.spec})

@@ -79,9 +79,9 @@ def recording() -> Iterator[Record]:
         patch.setattr("shes.runs.config.num_cores", lambda: 1)
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
-        patch.setattr(worker, "WarpSimulator", DeviceSimulator)
+        patch.setattr("shes.runs.build.WarpSimulator", DeviceSimulator)
         patch.setattr(worker, "WarpDevice", device)
-        patch.setattr("shes.algorithms.problem.WarpDevice", device)
+        patch.setattr("shes.algorithms.contract.WarpDevice", device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
         patch.setattr("shes.evolution.algorithm.update_level", record_update)
         yield record

@@ -9,21 +9,22 @@ from typing import Annotated
 import gymnasium
 import pytest
 
+import shes
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.named_environments import ENVIRONMENTS, Environment
 from shes.envs.tasks.task import TaskOptions
-from shes.errors import ConfigError, ShapeError, UnknownNameError
+from shes.errors import ConfigError, RunFolderError, ShapeError, UnknownNameError
 from shes.runs.build import build_algorithm, build_options
 from shes.runs.config import TrainConfig, WorkerSettings
 from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import PRESET_NAMES
 from shes.settings import Gt, Settings, Shared
-from tests.e2e import own_classes
+from tests.e2e import own_classes, runs
 
 EXECUTION = {
     "preset": "paper", "backend": "serial", "num_workers": 3, "chunk_size": 7, "device": "cuda", "nconmax": 3,
-    "njmax": 7, "generations": 5, "env_steps": 900, "minutes": 1.0, "keep_checkpoints": 2,
+    "njmax": 7, "deterministic": True, "generations": 5, "env_steps": 900, "minutes": 1.0, "keep_checkpoints": 2,
 }  # fmt: skip
 """Settings that change no number, with values that are not their defaults."""
 
@@ -85,7 +86,7 @@ def test_settings_that_no_run_can_have_are_refused(settings, message):
 
 @pytest.mark.parametrize("env", ["point-gather", "point-flagrun", "robotics-ant-maze"])
 def test_a_configuration_can_be_recorded_pickled_and_copied(env):
-    config = TrainConfig.of(env=env, hidden=(16, 8), sigma=0.1 + 0.2, minutes=1.5, seed=2**62, rank_ties="index")
+    config = TrainConfig.of(env=env, hidden=(16, 8), sigma=0.1 + 0.2, minutes=1.5, seed=2**62, biases="glorot_normal")
     assert (config.to_dict()["networks"]["hidden"], config.numbers()["hidden"]) == ([16, 8], [16, 8])
     kept = json.loads(json.dumps(config.to_dict()))
     arrived = pickle.loads(pickle.dumps(config))  # noqa: S301 - our own bytes
@@ -177,9 +178,9 @@ PAPER = {
     "learning_rate": 0.01, "sigma_end": None, "learning_rate_end": None, "sigma": 0.02, "generations": 3000,
     # Where Table I is silent: the authors' code (docs/differences.md).
     "hidden": (256, 256, 256), "biases": "glorot_normal", "weight_decay": 0.005, "mirrored": "quad",
-    "rank_ties": "index", "common_random_numbers": "off", "statistics_fraction": 0.01, "minimum_goal_distance": True,
+    "common_random_numbers": "off", "statistics_fraction": 0.01, "minimum_goal_distance": True,
     "goal_encoding": "angle", "controller_output": "vector", "perturbation": "many_to_many",
-    "fitness_shaping": "centred_rank", "optimizer": "adam", "primitive_reward": "progress",
+    "fitness_shaping": "centred_rank_index", "optimizer": "adam", "primitive_reward": "progress",
     # What makes the ant learn in the other presets is not the paper's (docs/learning.md).
     "primitive_view": "observation", "controller_view": "observation", "symmetry": "none", "clock_frequency": None,
     "primitive_estimate": "episode", "output_weights": "glorot_normal", "max_tilt": None, "waypoints": None,
@@ -205,7 +206,7 @@ def test_the_paper_preset_evaluates_as_it_trains():
         assert (options.integrator, options.reset_noise) == ("euler", noise)
 
 
-@pytest.mark.parametrize("preset", PRESET_NAMES)
+@pytest.mark.parametrize("preset", [*PRESET_NAMES])
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_every_preset_suits_every_environment(env, preset):
     if "hiro" in preset and "flagrun" in env:
@@ -251,17 +252,57 @@ def test_the_presets_of_hiro_fit_a_small_maze(preset):
     assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
 
 
+# A run like another one.
+
+
+def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):
+    given = {"algorithm": "es", "sigma": 0.07, "seed": 9, "generations": 0 + 1, "integrator": "rk4"}
+    run = shes.train("point-gather", out=tmp_path / "run", **runs.TINY | given)
+    config = make_config(None, None, {"like": run})
+    assert config.values == {**run.config.values, "seed": 1}
+    more = make_config("point-maze", None, {"like": run.path, "seed": 4, "sigma": 0.08, "mirrored": "none"}).values
+    changed = {"env": "point-maze", "seed": 4, "sigma": 0.08, "mirrored": "none"}
+    assert {name: more[name] for name in run.config.values} == {**run.config.values, **changed}
+    assert make_config("point-maze").values.items() >= {(name, more[name]) for name in more - run.config.values.keys()}
+
+
+def test_what_a_run_like_a_shipped_agent_takes():
+    config, usual = make_config("ant-maze", None, {"like": "ant-gather"}), make_config("ant-maze")
+    assert (config.values["primitive"], config.values["waypoints"]) == ("ant-walker", usual.values["waypoints"])
+
+
+LIKE = [
+    (None, {"like": "gone"}, r"gone does not exist\. Give the folder that `shes train` printed"),
+    (
+        None,
+        {"like": "ant-maze", "algorithm": "es"},
+        r"primitive is 'ant-walker' in ant-maze, but it is not a setting of",
+    ),
+    (None, {"like": "ant-walker"}, r"--primitive fifth-walker: fifth-walker does not exist"),
+    ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
+    ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
+    (
+        "ant-gather",
+        {"like": "ant-maze", "preset": "smoke"},
+        "preset has no effect with like, got 'smoke'. Omit --preset",
+    ),
+]
+
+
+@pytest.mark.parametrize(("env", "settings", "message"), LIKE)
+def test_a_run_that_cannot_be_like_another_is_refused(env, settings, message):
+    with pytest.raises((ConfigError, RunFolderError), match=message):
+        make_config(env, settings.get("preset"), {k: v for k, v in settings.items() if k != "preset"})
+
+
 OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
 ON_WALKER = {"primitive": "ant-walker"}
 FROZEN = r"{name} has no effect on a frozen primitive; got {value}"
 NO_SETTING = r"{name} is not a setting of a run of %s with algorithm '%s', got {value}. Omit --{flag}."
 ONE_PROCESS = r"{name} is '?{value}'?, but one process serves device cuda. Omit --"
-NO_BUFFERS = "{name} is 9, but the CPU's .* no fixed buffers. .*omit --{name}"
+NO_BUFFERS = "{name} is {value}, but the CPU's .* no fixed buffers and always repeats its .*omit --{name}"
 IDLE = [
     # Environment; a setting that has no effect, and others; the message; what helps.
-    ("point-gather", {"rank_ties": "index", "fitness_shaping": "pair_rank", "mirrored": "pair"},
-     "{name} has no effect with fitness_shaping 'pair_rank', got 'index'. Set --fitness-shaping to centred_rank",
-     {"fitness_shaping": "centred_rank"}),
     ("point-gather", {"schedule_generations": 50},
      "{name} has no effect with sigma_end None, learning_rate_end None, got 50.*omit --sched", {"sigma_end": 0.01}),
     ("ant-gather", {"freeze_primitive": False},
@@ -287,7 +328,8 @@ IDLE = [
     ("point-flagrun", {"minimum_goal_distance": 3}, NO_SETTING % ("point-flagrun", "shes"), None),
     ("point-gather", {"primitive": 3, "algorithm": "es"}, NO_SETTING % ("point-gather", "es"), None),
     ("point-gather", {"target": 3}, NO_SETTING % ("point-gather", "shes"), None),
-    *(("point-gather", {name: 9}, NO_BUFFERS, {"device": "cuda"}) for name in ("nconmax", "njmax")),
+    *(("point-gather", each, NO_BUFFERS, {"device": "cuda"}) for each in (
+        {"nconmax": 9}, {"njmax": 9}, {"deterministic": True})),
     ("point-gather", {"backend": "processes", "device": "cuda"}, ONE_PROCESS + "backend", {"backend": "serial"}),
     *(("point-gather", {"num_workers": 4, "device": "cuda"}, ONE_PROCESS + "workers, or set --device cpu", helps)
       for helps in ({"num_workers": 1}, {"num_workers": 0})),

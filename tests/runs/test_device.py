@@ -15,6 +15,7 @@ from shes.errors import ConfigError
 from shes.evolution.estimates import draw_episodes
 from shes.evolution.strategies import SHES
 from shes.machine import num_cores
+from shes.rollout.episodes import empty_outcomes
 from shes.rollout.roll_out import PopulationResults
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
@@ -50,18 +51,14 @@ def stand_in(monkeypatch):
     [
         ({}, ConfigError("no cluster"), "no cluster"),
         ({"device": "cuda"}, ConfigError("device cuda needs an NVIDIA card."), "needs an NVIDIA card"),
-        (
-            {"device": "cuda"},
-            RuntimeError("Failed to allocate 1080 bytes on device 'cuda:0'"),
-            "cuda has too little memory for a single",
-        ),
+        ({"device": "cuda"}, RuntimeError("Failed to allocate 9 bytes on device 'cuda:0'"), "cuda has too little mem"),
     ],
 )
 def test_workers_that_cannot_start_change_nothing(monkeypatch, tmp_path, tiny_run, run_copy, settings, error, message):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise error
 
-    monkeypatch.setattr("shes.runs.build.simulator_factory", lambda *_: refuse)
+    monkeypatch.setattr("shes.runs.build.WarpSimulator", refuse)
     monkeypatch.setattr("shes.runs.train.build_backend", refuse)
     before = record(run_copy)
     with pytest.raises(ConfigError, match=message):
@@ -97,17 +94,17 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
 
 def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy):
     def buffers():
-        found = [(each["device"], each["nconmax"], each["njmax"]) for each in stand_in.device_simulators]
+        found = [tuple(each.values()) for each in stand_in.device_simulators]
         stand_in.device_simulators.clear()
         return list(dict.fromkeys(found))
 
     shes.resume(run_copy, device="cuda", nconmax=9, njmax=7, generations=5)
-    assert buffers() == [("cuda", 9, 7)]
+    assert buffers() == [("cuda", 9, 7, False)]
     on_cpu = shes.evaluate(run_copy, episodes=2, num_workers=1)
     assert buffers() == []
     on_device = shes.evaluate(run_copy, episodes=2, device="warp-cpu")
-    shes.evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4)
-    assert buffers() == [("warp-cpu", 9, 7), ("warp-cpu", 5, 4)]
+    shes.evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4, deterministic=True)
+    assert buffers() == [("warp-cpu", 9, 7, False), ("warp-cpu", 5, 4, True)]
     assert on_cpu.summary() == on_device.summary()  # the stand-in's physics
     for asked, message in (({"device": "cuda", "num_workers": 2}, "num_workers is 2"), ({"njmax": 2}, "njmax is 2, b")):
         with pytest.raises(ConfigError, match=message):
@@ -174,7 +171,7 @@ def test_the_estimate_covers_what_tasks_and_results_take(fits):
     algorithm = build_algorithm(make_config("ant-gather", "smoke", settings))
     tracemalloc.start()
     draws = draw_episodes(algorithm.start(0), algorithm.hyperparameters, 1_000_000)
-    results = PopulationResults.empty(len(draws.levels), members=20_000, episodes=1)  # noqa: F841 - held
+    results = PopulationResults(outcomes=empty_outcomes(len(draws.levels), 20_000, 1))  # noqa: F841 - held
     taken = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert not fits(taken, "ant-gather", **settings)

@@ -58,17 +58,9 @@ STEPS = 60
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """Return a function that returns the folder of a tiny run of one of `KINDS`."""
-    made = {}
-
-    def make(kind):
-        if kind not in made:
-            env, settings = KINDS[kind]
-            path = tmp_path_factory.mktemp("exported") / "run"
-            settings = {"output_weights": "glorot_normal", "population_size": 4, "horizon": 40, **settings}
-            made[kind] = runs.train_tiny(path, env, generations=1, evaluation_interval=1, **settings)
-        return made[kind]
-
-    return make
+    usual = {"population_size": 4, "horizon": 40, "generations": 1, "evaluation_interval": 1}
+    kinds = {kind: (env, {"output_weights": "glorot_normal", **usual, **own}) for kind, (env, own) in KINDS.items()}
+    return runs.trained_once(tmp_path_factory.mktemp("exported"), kinds)
 
 
 def episode(path):

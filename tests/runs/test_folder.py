@@ -125,6 +125,5 @@ def test_a_record_that_no_run_writes_is_one_clear_error(run_copy, text, message)
     for go_on in (shes.resume, shes.load):
         with pytest.raises(RunFolderError, match=rf"config\.json {message}"):
             go_on(run_copy)
-    state = run_state(RunFolder(run_copy))
-    assert (state.state, state.generation, state.env_steps) == ("unreadable", 4, 640)  # by its tables
+    assert run_state(RunFolder(run_copy)).state == "unreadable"
     assert path.read_text() == text

@@ -53,15 +53,8 @@ PLAYED = {
 @pytest.fixture(scope="module")
 def played(tmp_path_factory):
     """Return a function that returns the folder of a tiny run of one of `PLAYED`."""
-    made = {}
-
-    def make(kind):
-        if kind not in made:
-            env, settings = PLAYED[kind]
-            made[kind] = runs.train_tiny(tmp_path_factory.mktemp("played") / "run", env, generations=2, **settings)
-        return made[kind]
-
-    return make
+    kinds = {kind: (env, {"generations": 2, **settings}) for kind, (env, settings) in PLAYED.items()}
+    return runs.trained_once(tmp_path_factory.mktemp("played"), kinds)
 
 
 @pytest.mark.parametrize("kind", PLAYED)

@@ -6,7 +6,7 @@ import pytest
 
 import shes
 from shes.cli import main
-from shes.runs import model_card
+from shes.runs import listings
 from shes.runs.shipped import read_agent
 
 
@@ -21,16 +21,15 @@ def test_the_card_of_a_shipped_agent_has_its_stored_scores(capsys):
 
 
 def test_the_card_of_a_run_has_scores_of_fresh_episodes(run_copy, monkeypatch, capsys):
-    monkeypatch.setattr(model_card, "EPISODES", 3)
+    monkeypatch.setattr(listings, "CARD_EPISODES", 3)
     (run_copy / "replay.mp4").touch()
     assert main(["info", str(run_copy), "--card"]) == 0
     text = capsys.readouterr().out
     for name in ("trained", "constant", "random"):
         found = shes.evaluate(run_copy, episodes=3, controller=name)
         assert f"| {found.controller} | {found.scores.mean():.2f} ± " in text
-    assert re.search(
-        r"- seed \d+, [\d,]+ environment steps, \d+ generations\n- trained by `.+`\n\n<video .*replay", text
-    )
+    lines = r"- seed \d+, [\d,]+ environment steps, \d+ generations\n- trained by `.+`\n\n<video .*replay"
+    assert re.search(lines, text)
 
 
 @pytest.mark.extras

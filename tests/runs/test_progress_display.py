@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 from rich.cells import cell_len
-from rich.console import Console
 
+from shes.console import LineConsole
 from shes.runs.make_config import make_config
 from shes.runs.progress_display import ProgressDisplay, format_duration
 
@@ -44,11 +44,11 @@ def play(console, clock, config=CONFIG, generations=12, after=0):
 
 
 def terminal(width):
-    return Console(file=io.StringIO(), force_terminal=True, width=width, height=30)
+    return LineConsole(file=io.StringIO(), force_terminal=True, width=width, height=30)
 
 
 def plain(width=80):
-    return Console(file=io.StringIO(), force_terminal=False, width=width, record=True)
+    return LineConsole(file=io.StringIO(), force_terminal=False, width=width, record=True)
 
 
 def lines_of(console):
@@ -95,15 +95,16 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(clock, monkeypatch):
     assert lines[-1].endswith("time left 0 s")
     assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
     assert "\x1b" not in console.file.getvalue()
-    monkeypatch.setenv("TERM", "dumb")  # a terminal that cannot redraw shows every generation
+    monkeypatch.setenv("TERM", "dumb")  # a terminal that cannot redraw
     console = terminal(80)
     play(console, clock)
-    assert [console.file.getvalue().count(f"generation {number} / 40") for number in range(1, 13)] == [1] * 12
+    shown = [number for number in range(1, 13) if f"generation {number} / 40" in console.file.getvalue()]
+    assert shown == [1, 6, 11]
 
 
 def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):
     file = io.TextIOWrapper(io.BytesIO(), "ascii", errors="strict")
-    play(Console(file=file, force_terminal=True, width=80, height=30), clock)
+    play(LineConsole(file=file, force_terminal=True, width=80, height=30), clock)
     file.flush()
     text = file.buffer.getvalue().decode("ascii")
     assert "5.00 +/- 0.50" in text

@@ -149,6 +149,7 @@ def test_values_are_read_as_their_setting_needs():
         "num_workers": {"1": 1, "2": 2},
         "primitive_sigma": {"none": None, "0.1": 0.1},
     }
+    assert read_sweep(['env_kwargs={"a":3},{}']) == {"env_kwargs": {'{"a":3}': {"a": 3}, "{}": {}}}
     assert read_sweep(["hidden=none,64x32", "freeze_primitive=true,false", "algorithm=es,shes"]) == {
         "hidden": {"none": (), "64x32": (64, 32)},
         "freeze_primitive": {"true": True, "false": False},
@@ -161,8 +162,8 @@ def test_values_are_read_as_their_setting_needs():
     [
         (["sigma"], ConfigError, r"must be a setting and its values, got 'sigma'\. Set --sweep sigma=0\.02,0\.05"),
         (["sigmma=1"], ConfigError, "unknown setting 'sigmma'. Did you mean 'sigma'"),
-        (["sigma="], ConfigError, "sigma must be a positive number, got ''"),
-        (["sigma=1,2x"], ConfigError, "sigma must be a positive number, got '2x'"),
+        (["sigma="], ConfigError, "sigma must be a number greater than 0, got ''"),
+        (["sigma=1,2x"], ConfigError, "sigma must be a number greater than 0, got '2x'"),
         *(([f"sigma=1,{one}"], ConfigError, "has a value twice") for one in ("1.0", "1")),
         (["sigma=1", "--sigma=2"], ConfigError, "sigma is swept twice"),
         (["seed=1,2"], ConfigError, r"seed cannot be swept\. Give several seeds by --seed 1 2 3"),

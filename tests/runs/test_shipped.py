@@ -120,10 +120,8 @@ def test_every_shipped_agent_is_small_complete_and_acts(name):
             assert (option, given) in pairwise(record["command"])
         if option == "--primitive":
             assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == given
-    agent, task = (
-        shes.load(name),
-        build_environment(folder.read_config()).make(1, build_options(folder.read_config(), is_evaluation=True)),
-    )
+    agent, config = shes.load(name), folder.read_config()
+    task = build_environment(config).make(1, build_options(config, is_evaluation=True))
     task.reset(np.array([0]), [1])
     control = agent.control(task.observe(), task.position, task.heading, task.goal)
     assert np.isfinite(control).all()

@@ -30,11 +30,8 @@ def sources(tmp_path_factory):
     """Return a function that returns the folder of a run with a level to take. Not to be changed."""
     settings = {
         "ant of hiro": ("ant-flagrun", {**ANT, "hidden": (5,), "spec": "hiro"}),
-        "walker": (
-            "ant-flagrun",
-            {**ANT, **WALKER, "generations": 1, "primitive_estimate": "interval", "controller_interval": 4,
-             "hidden": (5,)},
-        ),
+        "walker": ("ant-flagrun", {**ANT, **WALKER, "generations": 1, "primitive_estimate": "interval",
+                                   "controller_interval": 4, "hidden": (5,)}),
         "point": ("point-flagrun", {**ANT, "hidden": (3, 2), **BROUGHT}),
         "plain": ("point-flagrun", ANT),
         "flat": ("point-gather", {"algorithm": "es", "generations": 1}),
@@ -42,15 +39,7 @@ def sources(tmp_path_factory):
         "equivariant": ("point-gather", {**NETWORK, "generations": 1}),
         "controller": ("point-gather", {**BY_CONTROLLER, **SUGGESTED, "generations": 2, "evaluation_interval": 2}),
     }  # fmt: skip
-    made = {}
-
-    def find(name):
-        if name not in made:
-            env, own = settings[name]
-            made[name] = runs.train_tiny(tmp_path_factory.mktemp("source") / "run", env, **own)
-        return made[name]
-
-    return find
+    return runs.trained_once(tmp_path_factory.mktemp("source"), settings)
 
 
 def level(path, checkpoint, name="primitive"):
@@ -113,7 +102,9 @@ def test_a_level_brings_what_it_was_trained_with(sources, tmp_path, source):
     origin = RunFolder.open(sources(source))
     with recording() as record:
         path = runs.train_tiny(tmp_path / "run", env, **{kind: origin.path, **asked}, generations=2)
-    assert RunFolder(path).read_config().values.items() >= {**expected, kind: str(origin.path)}.items()
+    values = RunFolder(path).read_config().values
+    assert values.items() >= {**expected, kind: str(origin.path)}.items()
+    assert make_config(None, None, {"like": path}).values == {**values, "seed": 1}
     starts, ends = ({each.name: each for each in runs.state(path, checkpoint).levels} for checkpoint in ("0", "last"))
     brought = level(origin.path, "best", kind)
     assert same(starts[kind], brought)

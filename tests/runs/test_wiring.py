@@ -97,7 +97,7 @@ def num_members(kind="training"):
 
 def longest(record):
     """Return the number of steps of the longest episode of training."""
-    return max(int(each.steps.max()) for each in record.of("training")[0].results)
+    return max(int(each.outcomes["steps"].max()) for each in record.of("training")[0].results)
 
 
 def perturbed(record):
@@ -124,14 +124,8 @@ def goals_within(record, distance):
 
 SHORT = {"horizon": 10, "evaluation_horizon": 10}
 """Where neither an interval nor an episode has to end, a few steps tell as much."""
-INTERVALS = {
-    "primitive_estimate": "interval",
-    "primitive_view": "egocentric",
-    "population_size": 8,
-    "sigma": 0.2,
-    "learning_rate": 0.04,
-    "horizon": 70,
-}
+BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric"}
+INTERVALS = {**BRANCHES, "population_size": 8, "sigma": 0.2, "learning_rate": 0.04, "horizon": 70}
 BRIEF = {**INTERVALS, "horizon": 12, "controller_interval": 5}
 SCHEDULED = {"common": BRIEF, "generations": (0, 4, 8)}
 GROUPS: dict[str, Group] = {
@@ -202,9 +196,8 @@ GROUPS: dict[str, Group] = {
         "primitive_estimate": Row("interval", lambda r: (len(r.of("branch")), perturbed(r)), (1, [[1, 0]])),
     }, common={**SHORT, "primitive_view": "egocentric"}),
     "ties": Group({
-        "rank_ties": Row("index", lambda r: [(bool(u.shaped.any()), (u.before.theta != u.result.level.theta).any())
-                                             for u in r.updates], [(True, True)] * 2),
-    }, common={"horizon": 2}),  # too short for an apple: all controllers have the same fitness
+        "fitness_shaping": Row("centred_rank_index", rules("holds_when_tied"), [False] * 2),
+    }, common=SHORT),
     "controller": Group({
         "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]]),
         "controller_network": Row("equivariant", design(lambda d: type(d.controller.network).__name__),
@@ -227,7 +220,7 @@ GROUPS: dict[str, Group] = {
             lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True),
     }, env="point-maze", common=SHORT),
     "ant": Group({
-        "symmetry": Row("rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4]),
+        "symmetry": Row("rotation", design(lambda d: d.symmetry and len(d.symmetry.view_index)), [4, 4]),
         "max_tilt": Row(60.0, batches(lambda b: b._min_cos_tilt and round(b._min_cos_tilt, 9)), [0.5, None]),
     }, env="ant-gather", common=BRIEF),
     "contacts": Group({
@@ -257,7 +250,8 @@ SHOWN = {
     *("env", "preset", "generations", "env_steps", "minutes", "algorithm"),
     *("evaluation_interval", "evaluation_episodes", "keep_checkpoints"),
     *("primitive", "primitive_checkpoint", "freeze_primitive", "controller"),
-    *("num_workers", "backend", "device", "nconmax", "njmax"),
+    *("num_workers", "backend", "device", "nconmax", "njmax", "deterministic"),
+    *("env_kwargs", "reset_options"),  # of external environments
     *("robot", "motors", "robot_keyframe"),
 }
 """Settings that show in a run alone: see `test_train`, `test_tables`, `test_transfer`, `test_device`, tests/e2e and

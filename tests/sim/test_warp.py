@@ -16,13 +16,14 @@ from shes.envs.bodies.robot import Robot, RobotOptions
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.task import TaskOptions
+from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError
 from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
 from tests.contracts.variants import VARIANTS
 from tests.envs.robot_files import ASSETS, MOTOR, walker
-from tests.sim.ants import INTEGRATORS, ant_model
+from tests.sim.ants import ant_model
 
 pytestmark = [
     pytest.mark.extras,

@@ -6,7 +6,7 @@ import pytest
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback, input_words
-from shes.viewing.video import captioned
+from shes.viewing.render import captioned
 
 LONG = "/home/somebody/experiments/point-gather/transfer/published/seed-3"
 FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")
@@ -33,17 +33,16 @@ def test_a_text_that_is_too_long_is_shortened_in_its_middle():
         assert (whole != of(start + "x" * 98 + end)).any()
 
 
-def words_of(env, view, **settings):
-    """Return a new task and what a controller with `view` sees of it."""
-    task = build_algorithm(make_config(env, "smoke", settings)).problem.make_task(is_evaluation=True)
+def words_of(env, view=None, **settings):
+    """Return a new task and what a controller with `view`, or that of the settings, sees of it."""
+    algorithm = build_algorithm(make_config(env, "smoke", settings))
+    task = algorithm.problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [3])
-    return task, input_words(view, task)
+    return task, input_words(view or algorithm.design.controller_view, task)
 
 
 def test_the_few_inputs_of_a_position_view_are_listed():
-    settings = {"controller_view": "position"}
-    view = build_algorithm(make_config("ant-maze", "smoke", settings)).design.controller_view
-    task, words = words_of("ant-maze", view, **settings)
+    task, words = words_of("ant-maze", controller_view="position")
     x, y = task.position[0]
     place = (f"torso x {x:.2f}", f"torso y {y:.2f}", "time 0.00", "target x 0.00", "target y 0.16")
     assert words == ("controller sees 5 values", *place)

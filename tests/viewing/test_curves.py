@@ -24,12 +24,8 @@ def line(start, end, value=1.0, points=5):
     return np.linspace(start, end, points), np.full(points, value)
 
 
-def mean_of(*curves):
-    return mean_curve(*zip(*curves, strict=True))
-
-
 def test_a_mean_is_where_all_runs_have_values():
-    found = mean_of(line(0, 10, 1), line(2, 12, 2), line(1, 40, 6))
+    found = mean_curve(line(0, 10, 1), line(2, 12, 2), line(1, 40, 6))
     assert (found.grid[0], found.grid[-1]) == (2, 10)
     assert found.mean.tolist() == [3] * len(found.grid)
     assert (found.is_apart, found.singles) == (False, ())
@@ -38,7 +34,7 @@ def test_a_mean_is_where_all_runs_have_values():
 
 def test_two_runs_are_shown_with_their_interpolated_mean():
     curves = (np.array([0.0, 2.0]), np.array([0.0, 4.0])), (np.array([1.0, 3.0]), np.array([6.0, 8.0]))
-    found = mean_of(*curves)
+    found = mean_curve(*curves)
     assert (found.grid.tolist(), found.mean.tolist(), found.band) == ([1, 2], [4, 5.5], None)
     for shown, given in zip(found.singles, curves, strict=True):
         np.testing.assert_array_equal(shown, given)
@@ -57,7 +53,7 @@ def test_two_runs_are_shown_with_their_interpolated_mean():
     ],
 )
 def test_runs_that_hardly_overlap_have_no_mean(spans, is_apart):
-    found = mean_of(*(line(*span, points=1 if span[0] == span[1] else 5) for span in spans))
+    found = mean_curve(*(line(*span, points=1 if span[0] == span[1] else 5) for span in spans))
     assert found.is_apart is is_apart
     if is_apart:
         assert (found.band, len(found.mean)) == (None, 0)

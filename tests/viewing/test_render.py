@@ -6,8 +6,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from shes.errors import ConfigError, StorageError
-from shes.viewing.render import render
-from shes.viewing.video import write_video
+from shes.viewing.render import render, write_video
 
 HELD_FRAMES = 14
 
@@ -108,13 +107,7 @@ PARTIAL = 'for last; do :; done\necho part > "$last"\ncat > /dev/null\necho full
     [
         (".mp4", None, broken, StorageError, "no more"),
         (".gif", None, broken, StorageError, "no more"),
-        (
-            ".mp4",
-            "exit 1",
-            black,
-            StorageError,
-            r"could not encode .*untouched\. It said: .* TMPDIR",
-        ),
+        (".mp4", "exit 1", black, StorageError, r"could not encode .*untouched\. It said: .* TMPDIR"),
         (".gif", PARTIAL, black, StorageError, r"It said: full\."),
         (".gif", "gone", black, ConfigError, r"no ffmpeg: .*encoder is not there.*IMAGEIO_FFMPEG_EXE"),
     ],

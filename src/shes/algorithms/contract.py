@@ -10,18 +10,61 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from types import ModuleType
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from shes.agents.agent import AgentDesign
-from shes.algorithms.problem import Problem
+from shes.agents.agent import AgentDesign, FlatDesign
+from shes.agents.mlp import MLP
 from shes.backends.backend import Backend
+from shes.envs.episode_batch import EpisodeBatch
+from shes.errors import CheckpointError, ShapeError
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.settings import Settings
+from shes.sim.warp_device import WarpDevice
 from shes.types import F64Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem(EpisodeSetup):
+    """An environment to learn in, with the settings of the run."""
+
+    name: str
+    settings: Any
+    noise_table_size: int
+    num_threads: int = 1
+    """Number of threads that the parent process may use."""
+
+    @property
+    def xp(self) -> ModuleType:
+        """Module of the arrays on the device: NumPy or CuPy."""
+        return np if self.device == "cpu" else WarpDevice(self.device).xp
+
+    def make_task(self, *, is_evaluation: bool = False) -> EpisodeBatch:
+        """Return the environment for one episode. The caller closes it."""
+        return self.env.make(1, self.evaluation if is_evaluation else self.training)
+
+    def sample(self) -> EpisodeBatch:
+        """Return the environment for one episode, closed; raise ShapeError if its observation has a wrong size."""
+        task = self.make_task()
+        task.reset(np.array([0]), [0])
+        shape = task.observe().shape
+        if shape != (1, task.observation_size):
+            raise ShapeError(
+                f"environment {self.name!r} must observe [N, {task.observation_size}], as many values as its "
+                f"observation_spec names; for 1 episode it observed {shape}. Change observation_spec or observe()."
+            )
+        task.close()
+        return task
+
+    def flat_design(self, hidden: tuple[int, ...]) -> FlatDesign:
+        """Return the design of an agent with a single policy without goals, with these hidden layers."""
+        task = self.sample()
+        policy = MLP(task.observation_size, hidden, task.action_size)
+        return FlatDesign(policy=policy, control_limit=task.control_limit)
 
 
 class LevelTransfer(ABC):
@@ -257,3 +300,25 @@ class Algorithm(ABC, Generic[StateT]):
         assert self.table.path is not None
         setup = {each.name: getattr(self.problem, each.name) for each in fields(EpisodeSetup)}
         return WorkerPlan(**setup, design=self.design, noise_table=self.table.path)
+
+
+def check_arrays(arrays: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray]) -> None:
+    """Raise CheckpointError unless `arrays` are finite, and have the names, types and shapes of `expected`.
+
+    An axis that has the length 0 in `expected` may have any length.
+    """
+    faults = {"lacks": expected.keys() - arrays.keys(), "has": arrays.keys() - expected.keys()}
+    if any(faults.values()):
+        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
+        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
+    for name, array in arrays.items():
+        own = expected[name]
+        is_alike = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"  # texts may be longer
+        lengths = zip(array.shape, own.shape, strict=False)
+        if not is_alike or array.ndim != own.ndim or any(allowed not in {0, length} for length, allowed in lengths):
+            raise CheckpointError(
+                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
+                f"{own.shape}. Put back the checkpoint of this run."
+            )
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 from typing import Annotated, Any, Literal, NamedTuple
 
 import mujoco
 
-from shes.backends.backend import Backend, SerialBackend
+from shes.backends.backend import SerialBackend
 from shes.envs.named_environments import find_environment
-from shes.envs.tasks.task import SimulatorFactory
 from shes.errors import ConfigError
-from shes.evolution.algorithm import evolve, num_steps, roll_out
+from shes.evolution.algorithm import roll_out
 from shes.evolution.strategies import EvolutionAlgorithm
 from shes.machine import on_one_core
-from shes.rollout.worker import RolloutWorker, WorkerPlan
+from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm, build_backend, check_limits
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
@@ -58,11 +56,9 @@ def bench_rollout(
 ) -> dict[str, Any]:
     """Measure the speed of whole generations on the device of `config`, relative to a bare `mj_step` loop on one core.
 
-    Every generation is the first of a run. The bare loop replays the start states and controls of part of it,
-    without policy or task: the limit of one core. A replay of `replay_s` seconds precedes and follows each generation;
-    speeds are medians, and `ratio` is the median of the ratios divided by the number of workers. A single worker runs
-    on the core of the loop, because on a shared machine the speeds of two cores may differ by a third. There are at
-    least `repeats` generations, for `seconds` or longer.
+    Every generation is the first of a run; there are at least `repeats`, for `seconds` or longer. The bare loop replays
+    part of it for `replay_s` seconds before and after each, without policy or task. A single worker runs on the core of
+    the loop, because on a shared machine the speeds of two cores may differ by a third.
     """
     if find_environment(config.run.env).has_own_physics:
         raise ConfigError(
@@ -70,15 +66,17 @@ def bench_rollout(
             "environments, e.g. ant-gather."
         )
     algorithm = evolution_strategy(config)
-    physics = record_generation(algorithm, config.run.seed)
+    state, physics = algorithm.start(config.run.seed), record_generation(algorithm, config.run.seed)
     is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with on_one_core() if is_alone else nullcontext(), build_backend(config, algorithm.plan()) as backend:
-        workers = backend.num_workers
-        pairs, start = list[tuple[float, float]](), perf_counter()
-        for pair in _speeds(algorithm, config.run.seed, backend, partial(physics.steps_per_s, replay_s)):
-            pairs.append(pair)
-            if len(pairs) >= repeats and perf_counter() - start >= seconds:
-                break
+        workers, pairs, start = backend.num_workers, list[tuple[float, float]](), perf_counter()
+        next(algorithm.run(state, backend))  # builds the environments and warms the caches
+        before = physics.steps_per_s(replay_s)
+        while len(pairs) < repeats or perf_counter() - start < seconds:
+            report = next(algorithm.run(state, backend))
+            after, duration_s = physics.steps_per_s(replay_s), report.columns["rollout_s"] + report.columns["update_s"]
+            pairs.append((report.state.env_steps / duration_s, (before + after) / 2))
+            before = after  # the speed of a shared machine drifts
     named = ("env", "hidden", "integrator", "population_size", "episodes_per_policy", "device")
     return {
         **{name: config.values[name] for name in named},
@@ -88,21 +86,6 @@ def bench_rollout(
         "bare_steps_per_s": statistics.median(bare for _, bare in pairs),
         "ratio": statistics.median(whole / bare for whole, bare in pairs) / workers,
     }
-
-
-def _speeds(
-    algorithm: EvolutionAlgorithm, seed: int, backend: Backend, replay: Callable[[], float]
-) -> Iterator[tuple[float, float]]:
-    """Yield the steps per second of first generations, each with the mean of the replays before and after it."""
-    settings, state, table = algorithm.hyperparameters, algorithm.start(seed), algorithm.table.on(algorithm.problem.xp)
-    with ThreadPoolExecutor(backend.num_workers) as pool:
-        next(evolve(state, settings, table, backend, pool))  # builds the environments and warms the caches
-        before = replay()
-        while True:
-            report = next(evolve(state, settings, table, backend, pool))
-            after = replay()
-            yield num_steps(report.populations) / (report.rollout_s + report.update_s), (before + after) / 2
-            before = after  # the speed of a shared machine drifts
 
 
 def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
@@ -156,7 +139,12 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
     """
     settings, table_size, state = algorithm.hyperparameters, algorithm.table.size, algorithm.start(seed)
     recorders: list[_RecordingSimulator] = []
-    plan = _RecordedPlan(**{**vars(algorithm.plan()), "device": "cpu"}, recorders=recorders)
+
+    def recorder(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
+        recorders.append(_RecordingSimulator(model, num_sims))
+        return recorders[-1]
+
+    plan = replace(algorithm.plan(), device="cpu", simulator=recorder)
     with SerialBackend(partial(RolloutWorker, plan)) as worker:
         draw, *others = settings.estimates
         draws = draw(state, settings, table_size, ())
@@ -173,21 +161,6 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _RecordedPlan(WorkerPlan):
-    """A worker's plan whose simulators, all on the CPU, record their episodes and are added to `recorders`."""
-
-    recorders: list[_RecordingSimulator]
-
-    @property
-    def simulator(self) -> SimulatorFactory:
-        def make(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
-            self.recorders.append(_RecordingSimulator(model, num_sims))
-            return self.recorders[-1]
-
-        return make
-
-
 class _RecordingSimulator(CpuSimulator):
     """A simulator that records the state of every simulation at its first step after a reset, and all its controls."""
 
@@ -201,10 +174,10 @@ class _RecordingSimulator(CpuSimulator):
         for i in ids.tolist():
             self._running.pop(i, None)
 
-    def advance(self, ids: IntArray, nstep: int) -> None:
+    def step(self, ids: IntArray, nstep: int) -> None:
         for i in ids.tolist():
             if i not in self._running:
                 self._running[i] = RecordedEpisode(self._batch.state[i].copy(), [])
                 self.episodes.append(self._running[i])
             self._running[i].controls.append(self.ctrl[i].copy())
-        super().advance(ids, nstep)
+        super().step(ids, nstep)

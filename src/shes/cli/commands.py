@@ -8,7 +8,6 @@ import tyro
 
 from shes.errors import ConfigError
 from shes.runs import train as run_training
-from shes.runs.config import RunSettings
 from shes.runs.folder import checked_out, new_folder
 from shes.runs.runs_folder import RunsFolder, read_sweep, vary
 from shes.runs.train import Run
@@ -16,9 +15,10 @@ from shes.types import Listing
 
 
 def train(
-    env: str,
-    settings: dict[str, Any],
+    env: Annotated[str, tyro.conf.arg(metavar="[ENV]", help_behavior_hint="")] = "",
     *,
+    settings: dict[str, Any],
+    like: Annotated[str | None, tyro.conf.arg(metavar="RUN", help_behavior_hint="")] = None,
     seed: Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT ...")] = (1,),
     out: str | None = None,
     sweep: Annotated[
@@ -33,14 +33,16 @@ def train(
 
     Args:
         env: Environment (`shes envs`) or `gymnasium:ID`.
+        like: Run whose environment and settings are the defaults.
         seed: Seed; each of several becomes a run.
         out: The run folder; if none, below runs/.
         sweep: A run for each value: sigma=0.02,0.05.
     """
-    preset = settings.pop("preset", RunSettings.preset)
+    preset = settings.pop("preset", None)
+    settings["like"] = like
     swept = read_sweep(text for texts in sweep for text in texts)
     if len(seed) == 1 and not swept:
-        return run_training.train(env, preset=preset, out=out, progress=True, **{**settings, "seed": seed[0]})
+        return run_training.train(env or None, preset=preset, out=out, progress=True, **{**settings, "seed": seed[0]})
     configs = vary(env, preset, settings, seed, swept)
     first = next(iter(configs.values()))
     place = new_folder(first, f"{len(configs)}-runs") if out is None else checked_out(out)

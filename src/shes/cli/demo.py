@@ -71,11 +71,6 @@ def demo(robot: Literal["ant", "point"] = "ant") -> None:
         robot: The ant learns to walk and then to collect food; the point moves by itself.
     """
     text, *stages = DEMOS[robot]
-    play(text, stages)
-
-
-def play(text: str, stages: list[Stage]) -> None:
-    """Print `text`, train and evaluate the runs of `stages`, and draw them."""
     console, start = LineConsole(), monotonic()
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     console.print(text, highlight=False)

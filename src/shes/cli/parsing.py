@@ -25,12 +25,18 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from shes.cli.program import COMMANDS, TERMINATED, find_command
 from shes.console import LineConsole
-from shes.envs.named_environments import ENVIRONMENTS, EXTERNAL_ENVIRONMENTS, GYMNASIUM, ROBOT_ENVIRONMENTS
+from shes.envs.named_environments import (
+    ENVIRONMENTS,
+    EXTERNAL_ENVIRONMENTS,
+    GYMNASIUM,
+    ROBOT_ENVIRONMENTS,
+    find_environment,
+)
 from shes.errors import ConfigError
-from shes.runs.config import RunSettings, TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
+from shes.runs.config import TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
 from shes.runs.make_config import make_config, transferred_levels
 from shes.runs.progress_display import drawing_progress
-from shes.settings import Setting, flag
+from shes.settings import Setting, flag, setting_fields
 from shes.types import Listing
 
 DEFAULT_ENV = "ant-gather"
@@ -183,12 +189,13 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
 
     All names are checked, because an unknown choice also makes its options unknown.
     """
-    choosing = {each.flag: each for each in known_settings().values() if each.choices}
+    choosing = {each.flag: each for each in known_settings().values() if each.choices or each.kind is dict}
     pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]
     found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}
-    given = {each.name: each.checked(value) for each, value in found.items()}
-    asked = {"algorithm": given["algorithm"]} if "algorithm" in given else {}
-    return make_config(env, given.get("preset", RunSettings.preset), asked)
+    given = {each.name: each.checked(value) for each, value in found.items() if each.choices or value != "none"}
+    named = {"algorithm", *setting_fields(find_environment(env).task.Options)}
+    asked = {name: value for name, value in given.items() if name in named}
+    return make_config(env, given.get("preset"), asked)
 
 
 def _settings_type(named: Mapping[str, Any], config: TrainConfig, words: Sequence[str]) -> Any:
@@ -226,8 +233,8 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
     """Return a group of flags, whose help shows `values`. A `TypedDict`, because tyro then omits keys not given."""
     keys: dict[str, Any] = {}
     for name, each in settings.items():
-        kind: Any = Literal[each.choices] if each.choices else each.kind
-        metavar = "none|RUN" if name in transferred_levels() else None
+        kind: Any = Literal[each.choices] if each.choices else str if each.kind is dict else each.kind
+        metavar = "none|RUN" if name in transferred_levels() else "none|JSON" if each.kind is dict else None
         if each.kind is tuple:
             kind = tuple[each.item, ...]
             kind = kind | _Empty if each.can_be_empty and not each.is_optional else kind

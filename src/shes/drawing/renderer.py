@@ -1,10 +1,10 @@
-"""The contract of drawing: a drawer makes pictures of poses; a renderer does so for a MuJoCo world, to scale."""
+"""The contract of renderers, which draw a MuJoCo world to scale, and the outlines of a world from above."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,28 +26,11 @@ _OPEN_HALF_M = 10.0
 """Half width of what is shown of a world without walls."""
 
 
-class Drawer(ABC):
-    """Makes pictures, of one size, of the poses of one environment."""
-
-    cameras: Sequence[str]
-    """Names of its cameras."""
-
-    @abstractmethod
-    def draw(self, pose: Any, /, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
-        """Return a picture [H, W, 3] of `pose` with `markers`."""
-
-    @abstractmethod
-    def between(self, start: Any, end: Any, fraction: float) -> Any:
-        """Return the pose a `fraction` of the way from `start` to `end`."""
-
-    def close(self) -> None:  # noqa: B027 - some hold none
-        """Release its resources."""
-
-
-class Renderer(Drawer):
-    """A drawer of one MuJoCo world. A pose is its qpos [nq]."""
+class Renderer(ABC):
+    """Makes pictures, of one size, of a MuJoCo world. A pose is its qpos [nq]."""
 
     cameras = CAMERAS
+    """Names of its cameras."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self.model, self.data = model, mujoco.MjData(model)
@@ -56,6 +39,13 @@ class Renderer(Drawer):
         """Factor on the lengths of markers, and of what the camera shows."""
         self.extent = extent_of(model)
         """Area shown from above: least x and y, greatest x and y, in metres."""
+
+    @abstractmethod
+    def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
+        """Return a picture [H, W, 3] of the world at `qpos` [nq] with `markers`."""
+
+    def close(self) -> None:  # noqa: B027 - some hold none
+        """Release its resources."""
 
     def between(self, start: F64Array, end: F64Array, fraction: float) -> F64Array:
         """Return the pose [nq] a `fraction` of the way from `start` to `end`."""

@@ -7,13 +7,14 @@ import gc
 import importlib
 import io
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, redirect_stderr
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from operator import attrgetter
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -25,12 +26,23 @@ from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
 from shes.machine import resident_memory
 from shes.registry import full_name
+from shes.settings import Example
 from shes.sim.simulator import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
 _LOG = logging.getLogger("shes.run")
 _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "AdroitHand", "FrankaKitchen")
 _NUM_SEEDS = 2**31  # seeds are taken modulo this: some environments pass theirs on to generators that accept no more
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExternalOptions(TaskOptions):
+    """Options of every external environment."""
+
+    env_kwargs: Annotated[dict[str, Any] | None, Example("""'{"size": 3}'""")] = None
+    """Keyword arguments of `gymnasium.make`, or of the function that makes the environment, in JSON."""
+    reset_options: Annotated[dict[str, Any] | None, Example("""'{"start": [0, 1]}'""")] = None
+    """Options of every reset, `reset(options=...)`, in JSON."""
 
 
 class ExternalTask(EpisodeBatch):
@@ -40,8 +52,7 @@ class ExternalTask(EpisodeBatch):
     `fallen` is True only where it has terminated the episode and `info` reports no success.
     """
 
-    Options = TaskOptions
-    draws_itself = True
+    Options = ExternalOptions
     control_limit = 1.0
     # The contract's read-only properties.
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))
@@ -89,7 +100,7 @@ class ExternalTask(EpisodeBatch):
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             env = self._env(i)
             with self.environment.explained("reset"):
-                observation, info = env.reset(seed=int(seed) % _NUM_SEEDS)
+                observation, info = self.environment.reset_one(env, int(seed) % _NUM_SEEDS)
                 physics = find_physics(env)
                 if physics is not None:
                     forget_divergences(physics)
@@ -172,6 +183,11 @@ class ExternalEnvironment:
     locate: Locate | None = None
     primitive_view: tuple[int, ...] | None = None
     is_scored_by_success: bool = False
+    options: ExternalOptions = ExternalOptions()
+
+    def with_options(self, values: Mapping[str, Any]) -> ExternalEnvironment:
+        """Return this environment with its options among `values`."""
+        return replace(self, options=ExternalOptions.of(values))
 
     def __repr__(self) -> str:
         """Return what makes it, by which `Registry` compares."""
@@ -180,6 +196,11 @@ class ExternalEnvironment:
     def __getstate__(self) -> dict[str, Any]:
         """Replace the id by its registration, which a worker process lacks if a script made it."""
         return {**vars(self), "source": self.spec or self.source}
+
+    @property
+    def kwargs(self) -> dict[str, Any]:
+        """Keyword arguments with which the environment is made."""
+        return self.options.env_kwargs or {}
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -201,6 +222,8 @@ class ExternalEnvironment:
         if spec is None:
             with closing(self.make_one()) as env:
                 spec = env.spec
+        elif (limit := self.kwargs.get("max_episode_steps")) is not None:  # of `gymnasium.make`
+            return limit
         return spec and spec.max_episode_steps
 
     def make(
@@ -213,16 +236,22 @@ class ExternalEnvironment:
 
     def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
         """Return a single environment without the time limit of its registration: the caller counts the steps."""
-        spec, asked = self.spec, {} if render_mode is None else {"render_mode": render_mode}
+        spec, asked = self.spec, deepcopy(self.kwargs)
+        asked |= {} if render_mode is None else {"render_mode": render_mode}
         log_physics_warnings()  # MuJoCo's compiler warns too
         with self.explained(f"be made{f' with {asked}' if asked else ''}"):
             if spec is not None:
                 _import_robotics(spec.id)
-                return gymnasium.make(spec, max_episode_steps=-1, disable_env_checker=True, **asked)
+                return gymnasium.make(spec, **asked | {"max_episode_steps": -1, "disable_env_checker": True})
             env: Any = self.source(**asked)  # type: ignore[operator] - without a spec it is a function
             if not isinstance(env, gymnasium.Env):
                 raise ConfigError(f"its function must return a gymnasium.Env, got {env!r}.")
             return env
+
+    def reset_one(self, env: Any, seed: int) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode of an environment; return its observation and info."""
+        asked = self.options.reset_options
+        return env.reset(seed=seed) if asked is None else env.reset(seed=seed, options=deepcopy(asked))
 
     def measured_bytes(self) -> int:
         """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
@@ -231,7 +260,7 @@ class ExternalEnvironment:
         env = self.make_one()
         try:
             with self.explained("reset"):
-                env.reset(seed=0)
+                self.reset_one(env, 0)
             return max(0, resident_memory() - before)
         finally:
             self.close_one(env)

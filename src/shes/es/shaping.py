@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from shes.errors import ConfigError, PolicyError
 from shes.options import subclass_of
 from shes.registry import Registry
-from shes.settings import Settings
-from shes.types import F64Array
+from shes.types import F64Array, IntArray
 
 
 class FitnessShaping(ABC):
@@ -32,30 +30,31 @@ class FitnessShaping(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CentredRanks(FitnessShaping, Settings):
-    """Ranks from -0.5 (worst) to 0.5 (best).
+class CentredRanks(FitnessShaping):
+    """Ranks from -0.5 (worst) to 0.5 (best); equal values share their mean rank.
 
     Source: Salimans et al. 2017, section 2.1; SHES paper II-A ("ranked and shaped as in S-ES").
-    Deviation: equal fitness values share their average rank by default, so that the order of storage causes no drift
-    when most fitness values are equal, as with sparse rewards. The authors' code breaks ties by index.
+    Deviation: the authors' code breaks ties by index. With most fitness values equal, as with sparse rewards, the order
+    of storage then causes drift.
     """
-
-    rank_ties: Literal["average", "index"] = "average"
-    """How equal fitness values are ranked: by their average rank, or by their index in the population (authors' code).
-    With average, a level whose members all have the same fitness stays unchanged."""
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
         _check_finite(fitness)
-        count, order = len(fitness), np.argsort(fitness, kind="stable")
-        ranks = np.empty(count)
-        ranks[order] = np.arange(count)
-        if self.rank_ties == "average":
-            _, first, inverse, repeats = np.unique(
-                fitness[order], return_index=True, return_inverse=True, return_counts=True
-            )
-            ranks[order] = (first + (repeats - 1) / 2)[inverse]
-        return ranks / (count - 1) - 0.5 if count > 1 else np.zeros(1)
+        return _centred(_mean_ranks(fitness) - 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndexedRanks(FitnessShaping):
+    """Centred ranks with ties broken by index. A level whose members all tie is updated too: its parameters decay.
+
+    Source: the authors' code.
+    """
+
+    def __call__(self, fitness: F64Array) -> F64Array:
+        """Return the centred ranks [n]."""
+        _check_finite(fitness)
+        return _centred(np.argsort(np.argsort(fitness, kind="stable")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +62,7 @@ class PairRanks(FitnessShaping):
     """Signed ranks of the differences within mirrored pairs.
 
     Members 2 g and 2 g + 1 are a pair with the difference d. A pair of G has the weight `sign(d) rank(|d|) / G`; equal
-    differences share their average rank, and a difference of zero has the weight zero. The effects of the start and the
+    differences share their mean rank, and a difference of zero has the weight zero. The effects of the start and the
     goals, which both members share, cancel.
 
     Source: Wilcoxon 1945 (signed ranks); `docs/learning.md`.
@@ -75,10 +74,19 @@ class PairRanks(FitnessShaping):
         if len(fitness) % 2:
             raise ConfigError(f"pair_rank needs pairs, but there are {len(fitness)} members. Set --mirrored pair.")
         difference = fitness[0::2] - fitness[1::2]
-        _, place, count = np.unique(np.abs(difference), return_inverse=True, return_counts=True)
-        rank = (np.cumsum(count) - (count - 1) / 2)[place]  # ranks begin at 1
-        half = np.sign(difference) * rank / (2 * len(difference))
+        half = np.sign(difference) * _mean_ranks(np.abs(difference)) / (2 * len(difference))
         return np.stack([half, -half], axis=1).ravel()
+
+
+def _mean_ranks(values: F64Array) -> F64Array:
+    """Return the ranks [n] of `values` from 1; equal ones share their mean rank."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(count) - (count - 1) / 2)[place]
+
+
+def _centred(ranks: F64Array | IntArray) -> F64Array:
+    """Return `ranks` from 0 to n - 1 [n] on a scale from -0.5 to 0.5."""
+    return ranks / (len(ranks) - 1) - 0.5 if len(ranks) > 1 else np.zeros(1)
 
 
 def _check_finite(fitness: F64Array) -> None:
@@ -92,7 +100,7 @@ def _check_finite(fitness: F64Array) -> None:
 
 FITNESS_SHAPINGS: Registry[type[FitnessShaping]] = Registry(
     "fitness shaping",
-    {"centred_rank": CentredRanks, "pair_rank": PairRanks},
+    {"centred_rank": CentredRanks, "centred_rank_index": IndexedRanks, "pair_rank": PairRanks},
     fix="Set --fitness-shaping.",
     check=subclass_of(FitnessShaping),
 )

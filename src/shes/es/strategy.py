@@ -18,7 +18,6 @@ from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import Signs, check_population_size, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.options import make, options_of
 from shes.settings import Ge, Gt, checked
 from shes.types import F32Array, F64Array, IntArray, is_whole
 
@@ -48,7 +47,6 @@ class EvolutionStrategy:
         seed: Seed of all random numbers.
         noise_table_size: Normals in the shared table, at least twice the largest `dim`.
         state: `state` of an earlier strategy with the same arguments.
-        options: Options of the optimizer and of the fitness shaping: `rank_ties`.
     """
 
     @checked
@@ -68,25 +66,19 @@ class EvolutionStrategy:
         seed: Annotated[int, Ge(0)] = 0,
         noise_table_size: int = 1_000_000,
         state: StrategyState | None = None,
-        **options: Any,
     ) -> None:
         self._single = not isinstance(dim, Sequence)
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         if not dims or not all(is_whole(size) and size > 0 for size in dims):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
-        known = sorted(
-            {name for each in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in each.values() for name in options_of(cls)}
-        )
-        for name in options.keys() - known:
-            raise ConfigError(f"unknown option {name!r}, got {options[name]!r}. Options: {', '.join(known)}.")
         self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
         self.population_size, self.mirrored = population_size, mirrored
         self.sigma, self.learning_rate = sigma, learning_rate
         self.perturbation = perturbation
         self.rule = UpdateRule(
             weight_decay=weight_decay,
-            shaping=make(FITNESS_SHAPINGS, fitness_shaping, options),
-            optimizer=make(OPTIMIZERS, optimizer, options),
+            shaping=FITNESS_SHAPINGS.find(fitness_shaping)(),
+            optimizer=OPTIMIZERS.find(optimizer)(),
         )
         check_population_size(perturbation, mirrored, population_size, [True] * len(dims))
         self.table = NoiseTable.open(noise_table_size)

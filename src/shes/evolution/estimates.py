@@ -15,16 +15,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
 from shes.es.level import LevelParameters, UpdateRule, draw_noise_index
-from shes.es.perturbation import Signs, member_signs
-from shes.evolution.state import RunningEpisodes, TrainState
+from shes.es.noise import DEFAULT_TABLE_SIZE
+from shes.es.optimizers import OPTIMIZERS
+from shes.es.perturbation import MIRRORINGS, Signs, member_signs
+from shes.es.shaping import FITNESS_SHAPINGS
+from shes.evolution.state import TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
 from shes.rollout.roll_out import PopulationResults
+from shes.settings import Choices, Ge, Gt, Le, Needs, Settings, Shown
 from shes.streams import Purpose, stream
 from shes.types import IntArray
 
@@ -34,74 +38,76 @@ which costs more than it saves where a worker runs only a few episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Schedule:
-    """Value of a quantity in each generation: it changes by a constant factor, or not at all.
+class EvolutionSettings(Settings):
+    """Population and update."""
 
-    Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`.
-    """
+    population_size: Annotated[int, Ge(1), Shown(everyday=True)] = 240
+    """Policies per generation, mirrored ones included (Table I: 1000)."""
+    episodes_per_policy: Annotated[int, Ge(1)] = 1
+    """Episodes per policy; the fitness is their mean return (Table I: 5)."""
+    sigma: Annotated[float, Gt(0), Shown(everyday=True)] = 0.07
+    """Standard deviation of the perturbations (Table I: 0.02)."""
+    learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 0.01
+    """Learning rate (Table I, for Adam: 0.01)."""
+    sigma_end: Annotated[float, Gt(0)] | None = None
+    """Sigma after schedule_generations, reached by a constant factor per generation; none for a constant sigma."""
+    learning_rate_end: Annotated[float, Gt(0)] | None = None
+    """The same for the learning rate."""
+    schedule_generations: Annotated[int, Ge(1), Needs("sigma_end"), Needs("learning_rate_end")] = 1000
+    """Generations in which sigma and the learning rate reach their ends."""
+    weight_decay: Annotated[float, Ge(0)] = 0.005
+    """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
+    mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
+    """How the members of a group mirror its noise (section II-F)."""
+    fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
+    """Fitness shaping."""
+    optimizer: Annotated[str, Choices(OPTIMIZERS, is_described=True)] = "adam"
+    """Optimizer."""
+    # Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the
+    # comparison within a group. In the authors' code every member draws its own seeds.
+    common_random_numbers: Literal["off", "group", "population"] = "group"
+    """Which policies share episode seeds: off (none), group (those of a mirrored group) or population (all)."""
+    # Deviation: all of them, except in the preset `paper` (authors' code: 0.01).
+    statistics_fraction: Annotated[float, Ge(0), Le(1)] = 1.0
+    """Fraction of the mirrored groups whose observations enter the observation statistics."""
+    noise_table_size: Annotated[int, Ge(2)] = DEFAULT_TABLE_SIZE
+    """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
 
-    start: float
-    """Value in generation 0, positive."""
-    end: float | None = None
-    """Value from generation `generations` on, positive; None for a constant."""
-    generations: int = 1
-    """Number of generations from `start` to `end`."""
+    def value(self, name: str, generation: int) -> float:
+        """Return `sigma` or `learning_rate` after `generation` updates: exact at the start and the end of its schedule.
 
-    def value(self, generation: int) -> float:
-        """Return the value after `generation` updates: exactly `start` at 0, exactly `end` from `generations` on."""
-        if generation <= 0 or self.end is None:
-            return self.start
-        if generation >= self.generations:
-            return self.end
-        return self.start * (self.end / self.start) ** (generation / self.generations)
+        Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`.
+        """
+        start, end, generations = getattr(self, name), getattr(self, f"{name}_end"), self.schedule_generations
+        if generation <= 0 or end is None:
+            return start
+        return end if generation >= generations else start * (end / start) ** (generation / generations)
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalEstimate:
     """Hyperparameters of the interval estimate of the primitive, the last level."""
 
-    population_size: int
-    """Number of members per generation (2 G)."""
+    evolution: EvolutionSettings
+    """Number of members per generation (2 G), and the schedules of sigma and the learning rate."""
     intervals: int
     """Number of intervals in a branch. With two or more, the state at the end of an interval affects the fitness."""
     controller_interval: int
     goal_distance: float
     """Half width in metres of the square from which goals are drawn if there is no snapshot."""
-    sigma: Schedule
-    learning_rate: Schedule
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
     """Hyperparameters of Algorithm 1."""
 
-    population_size: int
-    """Number of members per generation, including mirrored ones (n)."""
-    episodes_per_policy: int
-    """Number of episodes per member (E). The fitness is their mean return."""
-    sigma: Schedule
-    """Standard deviation of the perturbations."""
-    learning_rate: Schedule
-    """Learning rate (alpha)."""
+    evolution: EvolutionSettings
     updates: tuple[UpdateRule, ...]
     """Update rule of each level."""
     learns: tuple[bool, ...]
     """Whether each level learns. A frozen level has no perturbation, update or new statistics (II-D)."""
-    mirrored: str = "quad"
-    """How the members of a group mirror its noise (II-F)."""
     perturbation: str = "many_to_many"
     """Which levels a generation perturbs (II-E)."""
-    common_random_numbers: str = "group"
-    """Which members share episode seeds: none (`off`), those of a mirrored `group`, or the whole `population`.
-
-    Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the
-    comparison within a group. In the authors' code every member draws its own seeds.
-    """
-    statistics_fraction: float = 1.0
-    """Fraction of the groups, chosen at random, whose observations enter the statistics.
-
-    Deviation: all of them, except in the preset `paper` (authors' code: 0.01).
-    """
     intervals: IntervalEstimate | None = None
     """How the primitive is evaluated by intervals; None if it is evaluated by whole episodes."""
     search: WaySearch | None = None
@@ -124,7 +130,8 @@ class Hyperparameters:
 
     def signs(self, generation: int) -> Signs:
         """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
-        return member_signs(self.perturbation, self.mirrored, self.population_size, self.by_episodes, generation)
+        own = self.evolution
+        return member_signs(self.perturbation, own.mirrored, own.population_size, self.by_episodes, generation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,18 +171,17 @@ def draw_episodes(
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0
-    dims, members, episodes = [len(level.theta) for level in levels], signs.shape[1], settings.episodes_per_policy
+    dims, members, own = [len(level.theta) for level in levels], signs.shape[1], settings.evolution
     noise_index = draw_noise_index(state.seed, generation, len(signs), dims, table_size)
     shared = Generation(
         levels=levels,
-        sigma=settings.sigma.value(generation),
-        episodes_per_policy=episodes,
-        is_evaluation=False,
-        members_per_lane=members if episodes < _ENOUGH_ROWS else 1,
+        sigma=own.value("sigma", generation),
+        episodes_per_policy=own.episodes_per_policy,
+        members_per_lane=members if own.episodes_per_policy < _ENOUGH_ROWS else 1,
         has_frozen_control=not settings.by_episodes[-1],
         snapshot_goals=0 if settings.intervals is None else settings.intervals.intervals,
         decisions="wander" if is_searching else None,
-        way=None if archive is None else archive.waypoints,
+        way=archive.way[1:] if archive is not None and archive.way_steps else None,
     )
     return Draws(
         levels=tuple(range(len(levels))),
@@ -183,7 +189,7 @@ def draw_episodes(
         noise_index=noise_index,
         tasks=_episode_tasks(state, settings, signs, noise_index, shared.members_per_lane),
         generation=shared,
-        learning_rate=settings.learning_rate.value(generation),
+        learning_rate=own.value("learning_rate", generation),
     )
 
 
@@ -192,12 +198,13 @@ def _episode_tasks(
 ) -> list[EpisodeTask]:
     """Return the tasks of all members, each for `in_lane` members of a group."""
     groups, members, _ = signs.shape
-    episodes, rng = settings.episodes_per_policy, stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
-    common = settings.common_random_numbers if signs.any() else "off"  # without noise all members are the same
+    own, episodes = settings.evolution, settings.evolution.episodes_per_policy
+    rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
+    common = own.common_random_numbers if signs.any() else "off"  # without noise all members are the same
     shares = {"off": (groups, members), "group": (groups, 1), "population": (1, 1)}[common]
     seeds = np.broadcast_to(rng.integers(0, 2**63, (*shares, episodes)), (groups, members, episodes))
     sampler = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation)
-    records = [sampler.random() < settings.statistics_fraction for _ in range(groups)]
+    records = [sampler.random() < own.statistics_fraction for _ in range(groups)]
     snapshot_steps = list[int]()  # before the snapshot of each episode
     if settings.intervals is not None:
         interval = settings.intervals.controller_interval
@@ -227,7 +234,7 @@ def draw_pairs(
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
-    groups, primitive = estimate.population_size // 2, state.levels[level]
+    groups, primitive = estimate.evolution.population_size // 2, state.levels[level]
     noise_index = draw_noise_index(state.seed, generation, groups, (len(primitive.theta),), table_size, level)
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
@@ -235,9 +242,7 @@ def draw_pairs(
         snapshots = [each for one in before for each in one.results.snapshots.values()]
         starts = _drawn_starts(rng, snapshots, estimate, groups)
     else:
-        running = state.running or RunningEpisodes(states=np.zeros((groups, 0)), steps=np.full(groups, -1))
-        ends = zip(running.states, running.steps.tolist(), strict=True)
-        starts = [None if steps < 0 else Snapshot(state=end, steps=steps) for end, steps in ends]
+        starts = state.running or [None] * groups
     tasks = [
         EpisodeTask(
             member=2 * group,
@@ -257,13 +262,13 @@ def draw_pairs(
         tasks=tasks,
         generation=Generation(
             levels=LevelParameters.of_all((primitive,)),
-            sigma=estimate.sigma.value(generation),
+            sigma=estimate.evolution.value("sigma", generation),
             episodes_per_policy=1,
-            is_evaluation=False,
+            kind="branch",
             members_per_lane=2,
             branch_steps=estimate.intervals * estimate.controller_interval,
         ),
-        learning_rate=estimate.learning_rate.value(generation),
+        learning_rate=estimate.evolution.value("learning_rate", generation),
     )
 
 
@@ -281,22 +286,13 @@ def _drawn_starts(
     return [snapshots[order[group % len(order)]] for group in range(groups)]
 
 
-def next_running(pairs: Population, horizon: int) -> RunningEpisodes | None:
+def next_running(pairs: Population, horizon: int) -> tuple[Snapshot | None, ...] | None:
     """Return the episodes after `pairs`: each continues from one of the pair's two ends.
 
     It starts anew if that end was terminal or reached the horizon. None means that all start anew.
     """
-    ends = {
-        member // 2: (end.state, end.steps)
-        for (member, _), end in pairs.results.snapshots.items()
-        if end.state is not None and end.steps < horizon
-    }
-    if not ends:
-        return None
-    states, steps = np.zeros((len(pairs.signs), len(next(iter(ends.values()))[0]))), np.full(len(pairs.signs), -1)
-    for group, end in ends.items():
-        states[group], steps[group] = end
-    return RunningEpisodes(states=states, steps=steps)
+    ends = {member // 2: end for (member, _), end in pairs.results.snapshots.items() if end.steps < horizon}
+    return tuple(map(ends.get, range(len(pairs.signs)))) if ends else None
 
 
 Estimate: TypeAlias = Callable[[TrainState, Hyperparameters, int, Sequence[Population]], Draws]

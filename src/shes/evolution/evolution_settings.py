@@ -16,52 +16,16 @@ from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.algorithms.contract import Preset
-from shes.es.noise import DEFAULT_TABLE_SIZE
-from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import MIRRORINGS, PERTURBATIONS
-from shes.es.shaping import FITNESS_SHAPINGS
+from shes.es.perturbation import PERTURBATIONS
+from shes.evolution.estimates import EvolutionSettings
 from shes.registry import Registry
-from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
+from shes.settings import Choices, Example, Ge, Gt, Needs, Settings, Shown
 
 
 def _registered(registry: Registry[Any], kind: str) -> Choices:
     """Return the choices of `registry`, to which users can add their own."""
     fix = f"Register your own first: shes.register_{kind}, or --import MODULE."
     return Choices(registry, fix, is_described=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvolutionSettings(Settings):
-    """Population and update."""
-
-    population_size: Annotated[int, Ge(1), Shown(everyday=True)] = 240
-    """Policies per generation, mirrored ones included (Table I: 1000)."""
-    episodes_per_policy: Annotated[int, Ge(1)] = 1
-    """Episodes per policy; the fitness is their mean return (Table I: 5)."""
-    sigma: Annotated[float, Gt(0), Shown(everyday=True)] = 0.07
-    """Standard deviation of the perturbations (Table I: 0.02)."""
-    learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 0.01
-    """Learning rate (Table I, for Adam: 0.01)."""
-    sigma_end: Annotated[float, Gt(0)] | None = None
-    """Sigma after schedule_generations, reached by a constant factor per generation; none for a constant sigma."""
-    learning_rate_end: Annotated[float, Gt(0)] | None = None
-    """The same for the learning rate."""
-    schedule_generations: Annotated[int, Ge(1), Needs("sigma_end"), Needs("learning_rate_end")] = 1000
-    """Generations in which sigma and the learning rate reach their ends."""
-    weight_decay: Annotated[float, Ge(0)] = 0.005
-    """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
-    mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
-    """How the members of a group mirror its noise (section II-F)."""
-    fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
-    """Fitness shaping."""
-    optimizer: Annotated[str, Choices(OPTIMIZERS, is_described=True)] = "adam"
-    """Optimizer."""
-    common_random_numbers: Literal["off", "group", "population"] = "group"
-    """Which policies share episode seeds: off (none), group (those of a mirrored group) or population (all)."""
-    statistics_fraction: Annotated[float, Ge(0), Le(1)] = 1.0
-    """Fraction of the mirrored groups whose observations enter the observation statistics."""
-    noise_table_size: Annotated[int, Ge(2)] = DEFAULT_TABLE_SIZE
-    """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,16 +148,15 @@ SHES_SECTIONS: Mapping[str, type[Settings]] = {
     "transfer": TransferSettings,
 }
 """Settings of a controller and its primitive."""
+SES_SECTIONS: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "networks": NetworkSettings}
+"""Settings of one policy without goals."""
 PRIMITIVE_SECTIONS: Mapping[str, type[Settings]] = {
-    "evolution": EvolutionSettings,
-    "networks": NetworkSettings,
+    **SES_SECTIONS,
     "hierarchy": PrimitiveSettings,
     "estimate": PrimitiveEstimateSettings,
     "transfer": PrimitiveTransferSettings,
 }
 """Settings of a primitive alone."""
-SES_SECTIONS: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "networks": NetworkSettings}
-"""Settings of one policy without goals."""
 
 SES_PRESETS: Mapping[str, Preset] = {
     # Table I exactly; what it leaves open is as in the authors' code.
@@ -208,7 +171,7 @@ SES_PRESETS: Mapping[str, Preset] = {
             "episodes_per_policy": 5,
             "sigma": 0.02,
             "biases": "glorot_normal",
-            "rank_ties": "index",
+            "fitness_shaping": "centred_rank_index",
             "common_random_numbers": "off",
             "statistics_fraction": 0.01,
             "noise_table_size": 250_000_000,
@@ -304,13 +267,12 @@ SHES_PRESETS: Mapping[str, Preset] = {
             "ant-fall": {**_ANT_TO_TARGET, "explore_horizon": 2500},
             "flagrun": {
                 **_ROBOT_WALKER,
-                "intervals": 1,
+                "intervals": 2,
                 "hidden": (),
                 "population_size": 600,
                 "sigma": 0.05,
                 "learning_rate": 0.02,
                 "generations": 200,
-                "fall_price": 4.0,
             },
             "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "population_size": 40, "goal_distance": 4.0},
             "maze": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING, "target": (0.0, 16.0)},

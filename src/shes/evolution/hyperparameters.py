@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Problem
 from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import check_population_size, sign_matrix
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
-from shes.evolution.estimates import Hyperparameters, IntervalEstimate, Schedule
+from shes.evolution.estimates import Hyperparameters, IntervalEstimate
 from shes.evolution.evolution_settings import HierarchySettings
 from shes.evolution.state import Archive
 from shes.evolution.way_search import SLICES, WaySearch
@@ -70,35 +70,25 @@ def steps_per_generation(settings: Any) -> int:
 def make_hyperparameters(problem: Problem) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
     settings = problem.settings
-    evolution, values = settings.evolution, settings.values
-    common = {
-        name: Schedule(start=values[name], end=values[f"{name}_end"], generations=evolution.schedule_generations)
-        for name in ("sigma", "learning_rate")
-    }
     return Hyperparameters(
-        **common,
-        population_size=evolution.population_size,
-        episodes_per_policy=evolution.episodes_per_policy,
+        evolution=settings.evolution,
         updates=_update_rules(settings),
         learns=learns(settings),
-        mirrored=evolution.mirrored,
-        perturbation=values.get("perturbation", HierarchySettings.perturbation),
-        common_random_numbers=evolution.common_random_numbers,
-        statistics_fraction=evolution.statistics_fraction,
-        intervals=_interval_estimate(settings, common) if is_branched(settings) and learns(settings)[-1] else None,
+        perturbation=settings.values.get("perturbation", HierarchySettings.perturbation),
+        intervals=_interval_estimate(settings) if is_branched(settings) and learns(settings)[-1] else None,
         search=_way_search(problem) if explores(settings) else None,
         horizon=settings.episodes.horizon,
     )
 
 
-def _interval_estimate(settings: Any, common: Mapping[str, Schedule]) -> IntervalEstimate:
-    """Return the interval estimate of the primitive, with its own schedules or the `common` ones."""
-    values = settings.values
-    own = {name: values.get(f"primitive_{name}") for name in common}
-    schedules = {name: common[name] if value is None else Schedule(start=value) for name, value in own.items()}
+def _interval_estimate(settings: Any) -> IntervalEstimate:
+    """Return the interval estimate of the primitive, with its own population and constant rates if it has any."""
+    names = ("population_size", "sigma", "learning_rate")
+    found = {name: settings.values.get(f"primitive_{name}") for name in names}
+    own = {name: value for name, value in found.items() if value is not None}
+    constant = {f"{name}_end": None for name in ("sigma", "learning_rate") if name in own}
     return IntervalEstimate(
-        **schedules,
-        population_size=values.get("primitive_population_size") or settings.evolution.population_size,
+        evolution=replace(settings.evolution, **own, **constant),
         intervals=settings.estimate.intervals,
         controller_interval=settings.hierarchy.controller_interval,
         goal_distance=settings.hierarchy.goal_distance,
@@ -126,7 +116,7 @@ def _update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     evolution, values = settings.evolution, settings.values
     rule = UpdateRule(
         weight_decay=evolution.weight_decay,
-        holds_when_tied=values["rank_ties"] == "average",
+        holds_when_tied=evolution.fitness_shaping != "centred_rank_index",  # as in the authors' code
         shaping=make(FITNESS_SHAPINGS, evolution.fitness_shaping, values),
         optimizer=make(OPTIMIZERS, evolution.optimizer, values),
     )
@@ -134,10 +124,6 @@ def _update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     if is_branched(settings):
         of_primitive["shaping"] = PairRanks()
     return tuple(replace(rule, **of_primitive) if name == "primitive" else rule for name in settings.level_names)
-
-
-_OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
-"""Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
 
 
 def check_together(settings: Any) -> None:
@@ -244,7 +230,8 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
         useless = [name for name in setting_fields(type(settings.estimate)) if name != "primitive_estimate"]
         why, fix = "on a frozen primitive", "--no-freeze-primitive"
     elif is_branched(settings) and is_alone(settings):
-        useless, fix = list(_OF_EPISODES), "--primitive-estimate episode"
+        useless = ["common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction"]
+        fix = "--primitive-estimate episode"
         why = "on a primitive that is evaluated by intervals: it applies to whole episodes only"
     if found := [name for name in useless if name in asked]:
         name, *_ = found

@@ -12,10 +12,10 @@ from gymnasium.spaces import Box
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from shes.drawing.make_drawer import make_drawer
-from shes.drawing.renderer import CAMERAS, Drawer, Picture
+from shes.drawing.make_drawer import Drawer, make_drawer
+from shes.drawing.renderer import CAMERAS, Picture
 from shes.drawing.window import Window, open_window
-from shes.envs.named_environments import Environment, find_environment, with_robot
+from shes.envs.named_environments import ENVIRONMENTS, ROBOT_ENVIRONMENTS, with_robot
 from shes.envs.tasks.task import Task
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import setting_fields
@@ -42,8 +42,18 @@ class TaskAdapter:
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode
-        self._picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
-        self.task = _make_task(name, num_envs, options, min(num_threads, num_envs))
+        named = with_robot(name, options.get("robot"))
+        environment = ENVIRONMENTS.find(named) if named not in ROBOT_ENVIRONMENTS else ROBOT_ENVIRONMENTS[named]
+        options = {key: value for key, value in options.items() if key != "robot" or named == name}
+        own = environment.task.Options
+        names = {*setting_fields(own), *setting_fields(environment.body.Options), *_PICTURE_DEFAULTS}
+        for option in options:
+            if option not in names:
+                known = ", ".join(nearest_first(option, names))
+                raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
+        simulator = partial(CpuSimulator, num_threads=min(num_threads, num_envs))
+        self.task: Task = environment.with_options(options).make(num_envs, own.of(options), simulator)
+        self._picture = {**_PICTURE_DEFAULTS, **options}
         if self._picture["camera"] not in CAMERAS:
             raise UnknownNameError("camera", self._picture["camera"], CAMERAS)
         low, high = np.array([(element.low, element.high) for element in self.task.observation_spec]).T
@@ -52,19 +62,14 @@ class TaskAdapter:
         self._drawer: Drawer | None = None
         self._window: Window | None = None
 
-    @staticmethod
-    def draw_seed(rng: np.random.Generator) -> int:
-        """Return a seed for the next episode of an environment with generator `rng`."""
-        return int(rng.integers(0, 2**63))
-
     @property
     def ended(self) -> BoolArray:
         """Whether each episode has terminated [N]; a divergence terminates it."""
         return self.task.terminated | self.task.diverged
 
-    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
-        """Start new episodes in rows `ids`."""
-        self.task.reset(ids, seeds)
+    def reset(self, ids: IntArray, seeds: Sequence[int | np.random.Generator]) -> None:
+        """Start new episodes in rows `ids`, each from its seed or from one that a generator draws."""
+        self.task.reset(ids, [int(it.integers(2**63)) if isinstance(it, np.random.Generator) else it for it in seeds])
         self._show(is_new_episode=True)
 
     def step(self, ids: IntArray, actions: ArrayLike) -> None:
@@ -73,8 +78,12 @@ class TaskAdapter:
         Raise ShapeError for another shape, and PolicyError for values that are no numbers or, in the rows of `ids`,
         NaN or infinite.
         """
-        task, asked = self.task, _as_numbers(actions)
+        task = self.task
         expected = (task.num_episodes, task.action_size)
+        try:
+            asked = np.asarray(actions).astype(np.float64, casting="same_kind")
+        except (TypeError, ValueError) as error:  # the latter: lists of different lengths
+            raise PolicyError(f"an action must be an array of numbers in [-1, 1], got {actions!r}.") from error
         if asked.shape != expected:
             each = f" in each of {expected[0]} environments" if expected[0] > 1 else ""
             raise ShapeError(
@@ -117,37 +126,6 @@ class TaskAdapter:
         self._drawer = self._window = None
 
 
-def _as_numbers(actions: ArrayLike) -> F64Array:
-    """Return `actions` as float64; raise a PolicyError if they are not numbers, or lists of different lengths."""
-    try:
-        given = np.asarray(actions)
-    except ValueError:
-        given = np.array(None)
-    if given.dtype.kind not in "biuf":
-        raise PolicyError(f"an action must be an array of numbers in [-1, 1], got {actions!r}.")
-    return given.astype(np.float64)
-
-
-def _make_task(name: str, num_envs: int, options: Mapping[str, Any], num_threads: int) -> Task:
-    """Return the task of environment `name`; check the names of the options of task, body and pictures."""
-    named = with_robot(name, options.get("robot"))
-    if named != name:
-        options = {key: value for key, value in options.items() if key != "robot"}
-    environment = find_environment(named)
-    if not isinstance(environment, Environment):
-        raise ConfigError(f"{name!r} is an environment of Gymnasium itself. Make it by its own id.")
-    of_body = environment.body.Options
-    names = {*setting_fields(environment.task.Options), *setting_fields(of_body), *_PICTURE_DEFAULTS}
-    for option in options:
-        if option not in names:
-            known = ", ".join(nearest_first(option, names))
-            raise ConfigError(f"the environment has no option {option!r}. Options: {known}.")
-    if setting_fields(of_body):
-        environment = environment.with_body_options(of_body.of(options))
-    simulator = partial(CpuSimulator, num_threads=num_threads)
-    return environment.make(num_envs, environment.task.Options.of(options), simulator)
-
-
 class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
     """One episode of a task at a time. Actions lie in [-1, 1]; a step of the ant takes 0.1 s of simulated time.
 
@@ -180,8 +158,7 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]], EzPickle):
     ) -> tuple[F64Array, dict[str, Any]]:
         """Start an episode. It depends on `seed` only; None continues with the previous seeds. `options` is ignored."""
         super().reset(seed=seed)
-        episode_seed = self._adapter.draw_seed(self.np_random) if seed is None else seed
-        self._adapter.reset(np.array([0]), [episode_seed])
+        self._adapter.reset(np.array([0]), [self.np_random if seed is None else seed])
         return self.task.observe()[0].copy(), self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[F64Array, SupportsFloat, bool, bool, dict[str, Any]]:

@@ -21,7 +21,7 @@ from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
 from shes.gymnasium.env import TaskAdapter
 from shes.machine import num_cores
-from shes.settings import Ge, checked
+from shes.settings import Ge, checked, out_of_range
 from shes.types import BoolArray, F64Array, IntArray, is_whole
 
 _RENDER_MODES = ["rgb_array"]
@@ -73,8 +73,11 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         self.single_action_space = self._adapter.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._max_steps = _step_limit(None if max_episode_steps == -1 else max_episode_steps)
-        self._rngs: list[np.random.Generator | None] = [None] * num_envs
+        has_limit = max_episode_steps not in (None, -1)
+        if has_limit and not (is_whole(max_episode_steps) and max_episode_steps > 0):
+            raise out_of_range("max_episode_steps", max_episode_steps, "a whole number of at least 1")
+        self._max_steps = max_episode_steps if has_limit else np.inf
+        self._rngs = [np_random()[0] for _ in range(num_envs)]
         self._has_ended, self._is_ready = np.zeros((2, num_envs), np.bool_)
 
     def reset(
@@ -99,13 +102,12 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         if is_whole(seed):
             return [int(seed) + i for i in range(self.num_envs)]
         given: Any = seed
-        is_list = isinstance(given, Sequence) or (isinstance(given, np.ndarray) and given.ndim == 1)
-        seeds: list[Any] = list(given) if is_list else [given]
+        seeds = list(given) if np.ndim(given) == 1 else [given]
         if not all(each is None or is_whole(each) for each in seeds):
             raise ConfigError(f"seed must be a whole number or a list of them, got {seed!r}.")
         if len(seeds) != self.num_envs:
             raise ConfigError(f"a list of seeds must have one for each of {self.num_envs} environments; got {seed!r}.")
-        return seeds
+        return [None if each is None else int(each) for each in seeds]
 
     def _mask(self, options: dict[str, Any] | None) -> BoolArray:
         """Return which environments to reset [N]."""
@@ -120,12 +122,12 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
 
     def _start(self, ids: IntArray, seeds: Sequence[int | None]) -> None:
         """Start episodes `ids`, each from its seed [N] or, if that is None, from its environment's generator."""
-        chosen: list[int] = []
+        chosen: list[int | np.random.Generator] = []
         for i in ids.tolist():
-            seed, rng = seeds[i], self._rngs[i]
-            if seed is not None or rng is None:
-                rng = self._rngs[i] = np_random(None if seed is None else int(seed))[0]
-            chosen.append(self._adapter.draw_seed(rng) if seed is None else int(seed))
+            seed = seeds[i]
+            if seed is not None:
+                self._rngs[i] = np_random(seed)[0]
+            chosen.append(self._rngs[i] if seed is None else seed)
         self._adapter.reset(ids, chosen)
 
     def step(self, actions: NDArray[Any]) -> tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]:
@@ -171,15 +173,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
 
     def render(self) -> tuple[Picture, ...] | None:  # type: ignore[override] - Gymnasium's type is wider
         """Return a picture [H, W, 3] of each environment."""
-        pictures = (self._adapter.render(i) for i in range(self.num_envs))
-        return tuple(pictures)  # type: ignore[return-value] - None is only for mode `human`, which it lacks
+        return tuple(map(self._adapter.render, range(self.num_envs)))  # type: ignore[return-value] - never None here
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""
         self._adapter.close()
-
-
-@checked
-def _step_limit(max_episode_steps: Annotated[int, Ge(1)] | None) -> float:
-    """Return the steps after which an episode is truncated: infinity for None."""
-    return np.inf if max_episode_steps is None else max_episode_steps

@@ -7,7 +7,7 @@ perturbations from its own noise table (SHES paper II-G).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,22 +63,6 @@ def empty_outcomes(num_levels: int, *shape: int) -> Outcomes:
     return np.zeros(shape, np.dtype(fields, align=True))
 
 
-class ByEpisode:
-    """Gives the fields of `outcomes` as attributes: `results.score` is `results.outcomes["score"]`."""
-
-    outcomes: Outcomes
-
-    def __getattr__(self, name: str) -> NDArray[Any]:
-        if name.startswith("_") or name == "outcomes" or name not in (self.outcomes.dtype.names or ()):
-            raise AttributeError(f"{type(self).__name__} has no {name!r}")
-        return self.outcomes[name]
-
-    @property
-    def returns(self) -> F64Array:
-        """Return of each level [L, ...]."""
-        return np.moveaxis(self.outcomes["returns"], -1, 0)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
     """State of an episode at a decision, from which another one can continue."""
@@ -104,8 +88,9 @@ class Generation:
     """Standard deviation of the perturbations."""
     episodes_per_policy: int
     """Number of episodes per member (E)."""
-    is_evaluation: bool
-    """Whether this is an evaluation, with its own reset noise and targets and no exploration noise."""
+    kind: Literal["training", "branch", "exploration", "evaluation"] = "training"
+    """Kind of the episodes: whole ones, branches of them, walks of a search, or an evaluation, which has its own reset
+    noise and targets. Exploration noise belongs to `training` alone."""
     members_per_lane: int = 1
     """Number of members that share noise vectors and a matmul (M')."""
     has_frozen_control: bool = False
@@ -116,17 +101,8 @@ class Generation:
     """Number of goals in the snapshots of whole episodes; 0 for no snapshots."""
     decisions: Decisions | None = None
     """Added to the outputs of the deciding level, whose parameters in `levels` are then 0; None for its own outputs."""
-    is_exploration: bool = False
-    """Whether the branches are walks of a search."""
     way: F64Array | None = None
     """Waypoints [points, 2 or 3] to the target in metres; None for those of the task's options."""
-
-    @property
-    def kind(self) -> str:
-        """Kind of the episodes: `evaluation`, `exploration`, `branch` or `training`."""
-        if self.is_evaluation:
-            return "evaluation"
-        return "exploration" if self.is_exploration else "branch" if self.branch_steps else "training"
 
     @property
     def rows_per_lane(self) -> int:
@@ -163,7 +139,7 @@ class EpisodeTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeResults(ByEpisode):
+class EpisodeResults:
     """Results of the K episodes of a task, in the order of its slots."""
 
     outcomes: Outcomes

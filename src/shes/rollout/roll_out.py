@@ -5,21 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shes.backends.backend import Backend
-from shes.es.statistics import Moments, ObservationStatistics
-from shes.rollout.episodes import (
-    PARTS,
-    ByEpisode,
-    EpisodeResults,
-    EpisodeTask,
-    Generation,
-    Outcomes,
-    Snapshot,
-    empty_outcomes,
-)
+from shes.es.statistics import ObservationStatistics
+from shes.rollout.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
 from shes.types import BoolArray, F64Array
 
 _LANE_COST = 0.05  # of a part, in episodes per episode of the whole task: its matmul has the rows of all of them
@@ -30,7 +23,10 @@ def roll_out_tasks(tasks: Sequence[EpisodeTask], generation: Generation, backend
     backend.broadcast(generation)
     episodes = generation.episodes_per_policy
     members = 1 + max(task.member + max(task.slots) // episodes for task in tasks)
-    results = PopulationResults.empty(len(generation.levels), members, episodes)
+    results = PopulationResults(
+        outcomes=empty_outcomes(len(generation.levels), members, episodes),
+        statistics=[ObservationStatistics.empty(len(level.mean)) for level in generation.levels],
+    )
     parts = divide(tasks, backend.num_workers)
     for part, result in zip(parts, backend.map(parts), strict=True):
         results.add(part, result)
@@ -63,23 +59,31 @@ def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PopulationResults(ByEpisode):
-    """Results of a population of n members with E episodes each."""
+class PopulationResults:
+    """Results of a population of n members with E episodes each.
+
+    The fields of `outcomes` are attributes: `results.score` is `results.outcomes["score"]`.
+    """
 
     outcomes: Outcomes
-    """Outcome of each episode [n, E]. `returns` are [L, n, E], final positions [n, E, 2]."""
-    moments: list[Moments] = field(default_factory=list)
-    """Moments of each level, summed over episodes (K = 1); empty before the first."""
+    """Outcome of each episode [n, E]; final positions are [n, E, 2]."""
+    statistics: list[ObservationStatistics] = field(default_factory=list)
+    """Statistics of each level's observations in these episodes."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds spent on each of `PARTS`, summed over workers."""
     log: list[str] = field(default_factory=list)
     snapshots: dict[tuple[int, int], Snapshot] = field(default_factory=dict)
     """Snapshots by member and episode, in the order of the tasks."""
 
-    @classmethod
-    def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
-        """Return empty results, to be filled by `add`."""
-        return cls(outcomes=empty_outcomes(num_levels, members, episodes))
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        if name.startswith("_") or name == "outcomes" or name not in (self.outcomes.dtype.names or ()):
+            raise AttributeError(f"{type(self).__name__} has no {name!r}")
+        return self.outcomes[name]
+
+    @property
+    def returns(self) -> F64Array:
+        """Return of each level [L, n, E]."""
+        return np.moveaxis(self.outcomes["returns"], -1, 0)
 
     @property
     def fitness(self) -> F64Array:
@@ -91,7 +95,7 @@ class PopulationResults(ByEpisode):
         return np.stack(returns).mean(axis=2)
 
     def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
-        """Add the result of `task`. The order of the calls affects the rounding of the moments."""
+        """Add the result of `task`. The order of the calls affects the rounding of the statistics."""
         episodes = self.outcomes.shape[1]
         place = np.divmod(task.member * episodes + np.array(task.slots), episodes)
         self.outcomes[place] = result.outcomes
@@ -100,19 +104,6 @@ class PopulationResults(ByEpisode):
         for member, episode, snapshot in zip(*place, result.snapshots, strict=False):
             if snapshot is not None:
                 self.snapshots[int(member), int(episode)] = snapshot
-        if result.moments is None:
-            return
-        if not self.moments:
-            self.moments.extend(Moments.zeros(1, m.total.shape[1]) for m in result.moments)
-        for mine, new in zip(self.moments, result.moments, strict=True):
-            mine.count[0] += new.count.sum()
-            for k in range(len(new.count)):
-                mine.total[0] += new.total[k]
-                mine.total_squares[0] += new.total_squares[k]
-
-    def observed(self, level: int, before: ObservationStatistics) -> ObservationStatistics:
-        """Return the statistics of the level at this place with the observations of these episodes."""
-        if not self.moments:
-            return before
-        moments = self.moments[level]
-        return before.merge(int(moments.count[0]), moments.total[0], moments.total_squares[0])
+        for level, new in enumerate(result.moments or ()):
+            for count, *sums in zip(new.count.tolist(), new.total, new.total_squares, strict=True):
+                self.statistics[level] = self.statistics[level].merge(count, *sums)

@@ -19,7 +19,6 @@ from shes.es.noise import NoiseTable
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import NumberedTask, Rollout
 from shes.sim.simulator import CpuSimulator
-from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
@@ -41,8 +40,8 @@ class EpisodeSetup:
     evaluation_horizon: int
     chunk_size: int = 0
     device: str = "cpu"
-    nconmax: int | None = None
-    njmax: int | None = None
+    simulator: SimulatorFactory = CpuSimulator
+    """Creates simulators on `device`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +54,9 @@ class WorkerPlan(EpisodeSetup):
     noise_table: Path
     """File of the noise table on the machine of the main process."""
 
-    @property
-    def simulator(self) -> SimulatorFactory:
-        """Function that creates a simulator."""
-        return simulator_factory(self.device, self.nconmax, self.njmax)
-
     def of(self, generation: Generation) -> tuple[TaskOptions, int, AgentDesign]:
         """Return the task's options, the most control steps and the agents of the episodes of `generation`."""
-        if generation.is_evaluation:
+        if generation.kind == "evaluation":
             return self.evaluation, self.evaluation_horizon, self.design
         if generation.branch_steps:
             return self.training, generation.branch_steps, self.branch_design or self.design
@@ -79,11 +73,6 @@ def lanes_that_fit(parameters: int, rows: int, *, are_external: bool = False) ->
         return max(1, _EXTERNAL_ROWS // rows)
     cached = _CACHE_BYTES // (4 * parameters)
     return max(1, -(-_MIN_ROWS // rows), min(cached, _MAX_ROWS // rows))
-
-
-def simulator_factory(device: str, nconmax: int | None, njmax: int | None) -> SimulatorFactory:
-    """Return the function that creates a simulator on `device`. The CPU ignores `nconmax` and `njmax`."""
-    return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, nconmax=nconmax, njmax=njmax)
 
 
 class _LogCollector(logging.Handler):
@@ -132,16 +121,14 @@ class RolloutWorker:
 
     def close(self) -> None:
         """Close the environments; they are made again when they are needed."""
-        for kind in tuple(self._rollouts):
-            self._drop(kind)
+        while self._rollouts:
+            self._rollouts.popitem()[1].batch.close()
 
     def run(self, tasks: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `tasks`, of which about `share` tasks are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
-
-        Raises:
-            ConfigError: A device has too few contact buffers, or too little memory for a single policy.
+        ConfigError is raised if its contact buffers are too few, or its memory too small for a single policy.
         """
         pending: dict[int, EpisodeTask] = {}
         with self._collector.listening():
@@ -191,7 +178,7 @@ class RolloutWorker:
         plan, kind = self.plan, generation.kind
         shape = self._lanes, generation.rows_per_lane, generation.members_per_lane
         if kind in self._rollouts and self._rollouts[kind].shape != shape:
-            self._drop(kind)
+            self._rollouts.pop(kind).batch.close()
         if kind not in self._rollouts:
             if plan.device != "cpu":
                 WarpDevice(plan.device).release_memory()
@@ -199,11 +186,6 @@ class RolloutWorker:
             make = partial(plan.env.make, options=options, simulator=plan.simulator)
             self._rollouts[kind] = Rollout(design, make, *shape[:2], horizon, generation.members_per_lane)
         return self._rollouts[kind]
-
-    def _drop(self, kind: str) -> None:
-        """Close the rollout for generations of this kind, if any."""
-        if kind in self._rollouts:
-            self._rollouts.pop(kind).batch.close()
 
     def _most_lanes(self, generation: Generation, share: int) -> int:
         """Return the maximum number of lanes in lockstep: on a device all of them, if they fit into its memory."""

@@ -9,26 +9,29 @@ from pathlib import Path
 from typing import Any, cast
 
 from shes.agents.agent import AgentDesign
-from shes.algorithms.contract import Algorithm
-from shes.algorithms.problem import Problem
+from shes.algorithms.contract import Algorithm, Problem
 from shes.backends.backend import Backend
 from shes.backends.named_backends import BACKENDS
 from shes.envs.external_task import ExternalEnvironment
-from shes.envs.named_environments import Environment, EnvironmentMaker, find_environment
-from shes.envs.tasks.task import TaskOptions
+from shes.envs.named_environments import EnvironmentMaker, find_environment
+from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.machine import free_memory, num_cores
 from shes.rollout.episodes import empty_outcomes
-from shes.rollout.worker import RolloutWorker, WorkerPlan, lanes_that_fit, simulator_factory
+from shes.rollout.worker import RolloutWorker, WorkerPlan, lanes_that_fit
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.settings import setting_fields
+from shes.sim.simulator import CpuSimulator
+from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import is_out_of_memory
 
 EVALUATION_RESET_NOISE = 0.1
 """Reset noise of evaluation episodes, whatever that of training is; see `TaskOptions.reset_noise`."""
+_OF_DEVICES = ("nconmax", "njmax", "deterministic")
+"""Settings of devices other than the CPU."""
 _WORKER_BYTES = 45_000_000  # that a worker process shares with no other: 36 to 42 MB measured
 _ROW_BYTES = 10_000  # of a simulation, its task and its agent, without noise: up to 8.6 kB measured
 _TASK_BYTES = 400  # of a task in the parent process, per episode: 200 to 400 measured
@@ -36,8 +39,7 @@ _TASK_BYTES = 400  # of a task in the parent process, per episode: 200 to 400 me
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
     """Return the environment of `config`."""
-    env = find_environment(config.run.env)
-    return env.with_body_options(config.body) if isinstance(env, Environment) and "body" in config else env
+    return find_environment(config.run.env).with_options(config.values)
 
 
 def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
@@ -61,10 +63,15 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
         num_threads=workers.count,
         chunk_size=workers.chunk_size,
         device=workers.device,
-        nconmax=workers.nconmax,
-        njmax=workers.njmax,
+        simulator=_simulator(config),
     )
     return cast("Callable[[Problem], Algorithm[Any]]", config.algorithm)(problem)  # as `register_algorithm` checks
+
+
+def _simulator(config: TrainConfig) -> SimulatorFactory:
+    """Return the function that creates simulators on the device of `config`."""
+    device, options = config.workers.device, {name: config.values[name] for name in _OF_DEVICES}
+    return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, **options)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,11 +110,11 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
     Other settings of `config` may be left from another device, for a run that returns to it.
     """
     device = config.workers.device
-    for name in ("nconmax", "njmax"):
-        if device == "cpu" and asked.get(name) is not None:
+    for name in _OF_DEVICES:
+        if device == "cpu" and asked.get(name):
             raise ConfigError(
-                f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers. "
-                f"Set --device, or omit --{name}."
+                f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers and always repeats its "
+                f"results. Set --device, or omit --{name}."
             )
     for name, usual in (("backend", ("serial",)), ("num_workers", (0, 1))):
         if device != "cpu" and asked.get(name, usual[0]) not in usual:
@@ -122,9 +129,8 @@ def check_device(config: TrainConfig) -> None:
     workers = config.workers
     if workers.device == "cpu":
         return
-    simulator = simulator_factory(workers.device, workers.nconmax, workers.njmax)
     try:
-        build_environment(config).make(1, build_options(config, is_evaluation=False), simulator).close()
+        build_environment(config).make(1, build_options(config, is_evaluation=False), _simulator(config)).close()
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
@@ -163,7 +169,7 @@ def _memory(config: TrainConfig, design: AgentDesign, workers: int, *, is_evalua
     policies, rows = config.algorithm.population(config)
     at_a_time = most_episodes(config, is_evaluation=is_evaluation)
     workers = min(workers, at_a_time)
-    env = find_environment(config.run.env)
+    env = build_environment(config)
     instance_bytes = env.measured_bytes() if isinstance(env, ExternalEnvironment) else None
 
     def rollout(policies: int, horizon: int) -> int:

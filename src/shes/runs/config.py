@@ -14,13 +14,14 @@ from typing import Annotated, Any
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
 from shes.envs.bodies.robot import read_robot, robot_stem
+from shes.envs.external_task import ExternalOptions
 from shes.envs.named_environments import ENVIRONMENTS, ROBOT_ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown
+from shes.settings import Choices, Execution, Ge, Gt, Setting, Settings, Shared, Shown
 from shes.sim.warp_device import DEVICES
 
 
@@ -38,7 +39,7 @@ class RunSettings(Settings):
     """Algorithm."""
     preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
     """Preset of the other settings."""
-    seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
+    seed: Annotated[int, Ge(0), Shown(everyday=True)] = 1
     """Seed of every random draw."""
     generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
     """Generations after which the run ends (Table I: 3000)."""
@@ -68,6 +69,8 @@ class WorkerSettings(Settings):
     """Contact buffer of a device, per simulation on average; by default chosen for the environment's model."""
     njmax: Annotated[int, Ge(1), Execution()] | None = None
     """Constraint buffer of a device, in rows per simulation; by default chosen for the environment's model."""
+    deterministic: Annotated[bool, Execution()] = False
+    """Whether a device repeats its results bit by bit; slower. Those of the CPU always repeat."""
 
     @property
     def count(self) -> int:
@@ -243,7 +246,8 @@ def by_name(sections: Mapping[str, Mapping[str, Setting]]) -> dict[str, Setting]
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
     environments = [*ENVIRONMENTS.values(), *ROBOT_ENVIRONMENTS.values()]
-    classes = dict.fromkeys(cls for env in environments for cls in (env.task.Options, env.body.Options))
+    own = (cls for env in environments for cls in (env.task.Options, env.body.Options))
+    classes = dict.fromkeys((*own, ExternalOptions))
     sections = [_OF_EVERY_RUN, *({"": cls} for cls in classes), *(each.sections for each in algorithm_classes())]
     return {name: setting for each in sections for name, setting in by_name(with_options(each)).items()}
 

@@ -137,7 +137,7 @@ def evaluate_state(
             pairs = zip(names, parameters, strict=True)
             levels = tuple(level.at_zero() if own == "controller" else level for own, level in pairs)
         generation = Generation(
-            levels=levels, sigma=0.0, episodes_per_policy=rows, is_evaluation=True, decisions=decisions
+            levels=levels, sigma=0.0, episodes_per_policy=rows, kind="evaluation", decisions=decisions
         )
         results = roll_out_tasks(tasks, generation, backend)
         found.append(replace(_evaluation(results, len(seeds), algorithm.design.intrinsic_level), controller=name))
@@ -172,6 +172,7 @@ def evaluate(
     device: Literal["cpu", "cuda", "warp-cpu"] = "cpu",
     nconmax: int | None = None,
     njmax: int | None = None,
+    deterministic: bool = False,
     seed: Annotated[int, Ge(0)] | None = None,
     targets: Literal["evaluation", "training"] = "evaluation",
     controller: ControllerName = "trained",
@@ -189,6 +190,7 @@ def evaluate(
         device: Device of the physics, whichever the run was trained on.
         nconmax: Contact buffer of a device, per simulation; that of the run if none.
         njmax: Constraint buffer of a device, in rows per simulation; that of the run if none.
+        deterministic: Whether a device repeats its results bit by bit; always if that of the run did.
         seed: Seed of the episodes; derived from that of the run if none.
         targets: Targets and reset noise: those of evaluation, or of training, such as random targets in the maze.
         controller: The trained controller; `random`, which sets a goal in a random direction at every decision; or
@@ -196,6 +198,7 @@ def evaluate(
             well was not learned.
     """
     execution: dict[str, Any] = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
+    execution |= {"deterministic": deterministic or None}
     execution = {name: value for name, value in execution.items() if value is not None}
     if device == "cpu" and RunFolder.open(run).read_config().workers.backend != "serial":
         execution["backend"] = "processes"  # the cluster that trained the run need not be there

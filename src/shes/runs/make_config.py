@@ -13,41 +13,71 @@ from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
 from shes.envs.bodies.robot import RobotOptions, read_robot
+from shes.envs.external_task import ExternalEnvironment
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.runs.build import OpenedRun, check_asked_device, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
+from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.runs.shipped import run_text
 from shes.settings import flag, setting_fields
 
 
-def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
-    """Return the settings of `preset` for `env`, with `overrides` by name.
+def make_config(env: str | None, preset: str | None = None, overrides: Mapping[str, Any] | None = None) -> TrainConfig:
+    """Return the settings of `preset` (laptop if none) for `env`, with `overrides` by name.
 
+    If `like` is among the overrides, it names a run, whose settings take the place of those of a preset; see `train`.
     The time limit of an environment applies to training and evaluation. Raise ShesError if a name is unknown, or a
     setting is out of range or has no effect.
     """
+    asked, own, kept = dict(overrides or {}), dict[str, Any](), dict[str, Any]()
+    if (like := asked.pop("like", None)) is not None:
+        old = RunFolder.open(like).read_config()
+        if preset is not None:
+            raise ConfigError(f"preset has no effect with like, got {preset!r}. Omit --preset, or --like.")
+        env, preset, kept = env or old.run.env, old.run.preset, dict(old.values)
+        own = _own_settings(like, old, env, asked)
+    if not env:
+        raise ConfigError("a run needs an environment: shes train ENV, or shes train --like RUN for that of a run.")
+    preset = RunSettings.preset if preset is None else preset
     if not isinstance(preset, str) or preset not in PRESET_NAMES:
         raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
-    asked = dict(overrides or {})
     named = with_robot(env, asked.get("robot"))
     if named != env:
         env = named
         del asked["robot"]
     asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
-    values = {"env": env, "preset": preset, **preset_values(env, preset, asked), **asked}
+    values = {"env": env, "preset": preset, **preset_values(env, preset, {**own, **asked}), **own, **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
     values |= asked
     for level in algorithm_of(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
-            values |= brought_settings(level, values, asked)
+            values |= brought_settings(level, values, asked if level in asked else {**kept, **asked})
     config = TrainConfig.of(**values)
     check_asked_device(config, asked)
     _check_effects(config, asked)
     return config
+
+
+def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings `old` of run `like`, but its seed, that are not those of its preset.
+
+    Raise ConfigError if a run of `env` with the algorithm in `asked`, if any, has no such setting.
+    """
+    run = old.run
+    usual = TrainConfig.of(env=run.env, preset=run.preset, **preset_values(run.env, run.preset, old.values)).values
+    own = {name: value for name, value in old.values.items() if name != "seed" and value != usual.get(name)}
+    algorithm = asked.get("algorithm", run.algorithm)
+    known = by_name(settings_by_section(RunSettings.of({"env": env, "algorithm": algorithm})))
+    for name in sorted(own.keys() - known.keys()):
+        raise ConfigError(
+            f"{name} is {own[name]!r} in {like}, but it is not a setting of a run of {env} with algorithm "
+            f"{algorithm!r}. Omit --like, and give the settings that you want to keep."
+        )
+    return {**own, "algorithm": run.algorithm}
 
 
 def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -61,7 +91,8 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
             f"Set --preset {', '.join(dict.fromkeys((*PRESETS, *own)))}, or omit --algorithm."
         )
-    limit = find_environment(env).max_episode_steps
+    found = find_environment(env)
+    limit = found.with_options(asked).max_episode_steps if isinstance(found, ExternalEnvironment) else None
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
     common, special = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, own))
     settings = by_name(settings_by_section(run))
@@ -101,7 +132,10 @@ def transferred_levels() -> tuple[str, ...]:
 def _read(level: str, own: LevelTransfer, values: Mapping[str, Any]) -> OpenedRun:
     """Return the run from which a run with settings `values` takes its `level`; raise ConfigError if it cannot."""
     path = values[level]
-    opened = open_run(path, values.get(f"{level}_checkpoint", "best"))
+    try:
+        opened = open_run(path, values.get(f"{level}_checkpoint", "best"))
+    except RunFolderError as error:
+        raise RunFolderError(f"{flag(level)} {path}: {error}") from error
     source = opened.algorithm
     if level not in source.level_names:
         raise ConfigError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm
@@ -72,18 +72,12 @@ def algorithm_classes() -> tuple[type[Algorithm[Any]], ...]:
     return tuple(each for cls in ALGORITHMS.values() for each in (cls, cls.without_controller) if each is not None)
 
 
-class _PresetNames(Collection[str]):
+class _PresetNames(Iterable[str]):
     """The names at the time of asking, because an algorithm may be registered later."""
 
     def __iter__(self) -> Iterator[str]:
         presets = (PRESETS, *(cls.presets for cls in algorithm_classes()))
         return iter(dict.fromkeys(name for each in presets for name in each))
-
-    def __contains__(self, name: object) -> bool:
-        return any(each == name for each in self)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
 
 
 PRESET_NAMES = _PresetNames()

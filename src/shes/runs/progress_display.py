@@ -20,7 +20,7 @@ from shes.runs.config import TrainConfig
 from shes.runs.recorder import AnyListener
 from shes.runs.tables import Row
 
-_LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
+_LINE_EVERY_S = 10.0  # where nothing can be redrawn
 _REMEMBERED = 20  # generations from which the time left is estimated
 
 
@@ -51,20 +51,19 @@ def with_display(listener: AnyListener, progress: bool | None) -> Iterator[AnyLi
         yield listener
         return
     with ProgressDisplay(console) as display:
-        yield [display, *(listener if isinstance(listener, list | tuple) else () if listener is None else (listener,))]
+        yield [display, listener]
 
 
 class ProgressDisplay:
     """A listener that shows generation, returns of the levels, evaluation score, steps per second and time left."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: LineConsole) -> None:
         """Show on `console`; use as a context manager."""
         self.path: Path | None = None
         """The run folder, once there is one."""
         self._console = console
         can_redraw = console.is_terminal and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
-        self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
         self._row: Row = {}
         self._evaluation: Row = {}
         self._events: deque[str] = deque(maxlen=3)
@@ -92,7 +91,7 @@ class ProgressDisplay:
             workers = f"this process, evaluating on {workers}"
         after = f" after generation {generation}" if generation else ""
         name, text = (config.run.env, "bold"), f" ({config.run.preset}) on {workers}{after}. Run folder: "
-        self._print(Text.assemble("Training ", name, text, (str(path), "cyan")))
+        self._console.print_line(Text.assemble("Training ", name, text, (str(path), "cyan")))
 
     def on_generation(self, row: Row) -> None:
         """Show a generation."""
@@ -103,9 +102,9 @@ class ProgressDisplay:
         self._shares.append((now, min(1.0, max(shares))))
         is_last = run.is_over(row["generation"], row["env_steps"])
         self._redraw()
-        if self._live is None and (now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1):
+        if self._live is None and (now - self._last_line >= _LINE_EVERY_S or is_last or row["generation"] == 1):
             self._last_line = now
-            self._print(Text("  ".join(f"{name} {value}" for name, value in self._facts())))
+            self._console.print_line("  ".join(f"{name} {value}" for name, value in self._facts()))
 
     def on_evaluation(self, row: Row) -> None:
         """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
@@ -117,10 +116,7 @@ class ProgressDisplay:
         self._events.append(event)
         self._redraw()
         if self._live is None:
-            self._print(Text(event, style="yellow"))
-
-    def _print(self, text: Text) -> None:
-        self._console.print(text, highlight=False, soft_wrap=True)
+            self._console.print_line(Text(event, style="yellow"))
 
     def _time_left(self) -> str:
         """Return the time left, estimated from the last generations, as text."""
@@ -130,7 +126,6 @@ class ProgressDisplay:
         return format_duration((1 - share) * (end - begin) / (share - before))
 
     def _facts(self) -> list[tuple[str, str]]:
-        """Return the names and values shown."""
         row, found, score = self._row, self._evaluation, "-"
         if found:
             sign = "+/-" if self._console.options.ascii_only else "±"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 import logging
 import math
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -54,11 +53,10 @@ ListenerMethods: TypeAlias = dict[str, Callable[..., Any]]
 
 def listener_methods(listener: AnyListener) -> list[ListenerMethods]:
     """Return the methods of each listener; raise ConfigError or UnknownNameError if one has none of these."""
-    each = listener if isinstance(listener, list | tuple) else () if listener is None else (listener,)
-    return [_methods(one) for one in each]
-
-
-def _methods(listener: Any) -> ListenerMethods:
+    if isinstance(listener, list | tuple):
+        return [methods for each in listener for methods in listener_methods(each)]
+    if listener is None:
+        return []
     if isinstance(listener, type):
         name = listener.__name__
         raise ConfigError(f"listener must be an object, got the class {name}. Write {name}().")
@@ -82,7 +80,7 @@ def _methods(listener: Any) -> ListenerMethods:
             raise ConfigError(f"listener {shown} must take ({', '.join(_METHODS[name])}): {error}.") from error
         except ValueError:  # some built-in functions have no signature
             pass
-    return found
+    return [found]
 
 
 class Divergence:
@@ -93,18 +91,15 @@ class Divergence:
 
     def add(self, row: Mapping[str, Any]) -> str | None:
         """Count a generation by its row of `progress.csv`; return a warning if all its episodes diverged."""
-        returns = [value for name, value in row.items() if name.endswith("_return_mean")]
-        has_returns = not returns or any(map(math.isfinite, returns))
-        if has_returns and row.get("diverged_rate") != 1:
+        returns = [value for name, value in row.items() if name.endswith("_return_mean")] or [0.0]
+        if row.get("diverged_rate") != 1 and any(map(math.isfinite, returns)):
             self._in_a_row, self._is_any_sound = 0, True
             return None
         self._in_a_row += 1
-        what = f"no return of generation {row['generation']} is finite"
-        if has_returns:
-            episodes = f"all {row['diverged_episodes']} episodes" if "diverged_episodes" in row else "every episode"
-            of = f"of generation {row['generation']}"
-            what = f"{episodes} {of} diverged (physics, observation or reward not finite)"
-        return f"{what}: nothing can be learned from it"
+        return (
+            f"every episode of generation {row['generation']} diverged (physics, observation or reward not finite): "
+            "nothing can be learned from it"
+        )
 
     def check(self, *, is_over: bool) -> None:
         """Raise DivergenceError after ten diverged generations in a row, or at the end of a run of nothing else."""
@@ -135,12 +130,9 @@ class Recorder:
             "evaluation": CsvTable(folder.evaluation, checkpoint.generation),
         }
         self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
+        self.close = self._events.close
         self._earlier_s = last_value(folder.progress, "wall_time_s")
         self._earlier_process_s = last_value(folder.progress, "process_time_s")
-
-    def close(self) -> None:
-        """Close the event file."""
-        self._events.close()
 
     def begin(self, backend: Backend, changes: Iterable[str]) -> None:
         """Start the clock, and tell of the run, of `changes` since it began, and of warnings about its settings."""
@@ -265,9 +257,8 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     logger.propagate = False
     try:
         yield
-    except Exception as error:
-        for line in "".join(traceback.format_exception(error)).splitlines():
-            logger.log(logging.ERROR, "%s", line)
+    except Exception:
+        logger.exception("the run ends with an error")
         raise
     finally:
         logger.removeHandler(file)

@@ -56,7 +56,7 @@ def read_sweep(texts: Iterable[str]) -> dict[str, dict[str, Any]]:
         if setting.name in sweep:
             raise ConfigError(f"{setting.name} is swept twice. Give all its values at once: {name}=A,B,C.")
         found = {each.strip(): _value(setting, each.strip()) for each in values.split(",")}
-        if len(set(found.values())) < values.count(",") + 1:
+        if len(set(map(repr, found.values()))) < values.count(",") + 1:
             raise ConfigError(f"--sweep {text} has a value twice. Remove it.")
         sweep[setting.name] = found
     return sweep
@@ -78,7 +78,7 @@ def _value(setting: Setting, text: str) -> Any:
 
 def vary(
     env: str,
-    preset: str,
+    preset: str | None,
     settings: Mapping[str, Any],
     seeds: Sequence[int],
     sweep: Mapping[str, Mapping[str, Any]],

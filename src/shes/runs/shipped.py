@@ -5,12 +5,13 @@ Each is a small run folder below `shipped/`, with `agent.json` beside its `confi
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, Self
 
 from shes.errors import RunFolderError, UnknownNameError, nearest_first
 
@@ -30,6 +31,12 @@ class FreshScore:
     score_mean: float
     score_std: float
     success_rate: float
+
+    @classmethod
+    def of(cls, facts: Mapping[str, Any], **others: Any) -> Self:
+        """Return the result whose fields are among the `facts` of an evaluation and the `others`."""
+        own: dict[str, Any] = {each.name: facts.get(each.name) for each in fields(cls)}
+        return cls(**(own | others))
 
     @property
     def score(self) -> str:
@@ -125,6 +132,4 @@ def shipped_hint(run: Path | str) -> str:
         return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."
     if not names or os.sep in given:
         return ""
-    close = difflib.get_close_matches(given, names, n=1)
-    hint = f" Did you mean {close[0]!r}?" if close else ""
-    return f" Or name a shipped agent: {', '.join(nearest_first(given, names))}.{hint}"
+    return f" Or name a shipped agent: {', '.join(nearest_first(given, names))}."

@@ -9,26 +9,31 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shes.errors import RunFolderError
 from shes.runs.checkpoint import short_text
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors, write_atomically
+from shes.types import F64Array
 
 Row = dict[str, Any]
 
 
-def read_csv(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a CSV file of numbers by name; raise RunFolderError if it is missing or damaged.
+def read_csv(path: Path) -> dict[str, F64Array]:
+    """Return the columns of a CSV file of numbers by name, each [rows]; none before the first row.
 
-    A last row without the end of its line is left out: it is being written, or a crash has cut it off.
+    A last row without the end of its line is left out: it is being written, or a crash has cut it off. Raise
+    RunFolderError if the file is damaged.
     """
-    return _columns(path, _read_rows(path))
+    header, rows = _read(path) if path.exists() else ([], {})
+    columns = np.array([row[: len(header)] for row in rows.values()], dtype=np.float64).T
+    return dict(zip(header, columns, strict=False))
 
 
 def last_value(path: Path, column: str) -> float:
     """Return the last value in a column of a CSV file; 0 before the first row."""
-    values = read_csv(path).get(column) if path.exists() else None
-    return values[-1] if values else 0.0
+    return float(read_csv(path).get(column, [0.0])[-1])
 
 
 def trained_minutes(folder: RunFolder) -> float:
@@ -36,34 +41,24 @@ def trained_minutes(folder: RunFolder) -> float:
     return last_value(folder.progress, "wall_time_s") / 60
 
 
-def _read_rows(path: Path) -> list[list[str]]:
-    """Return the rows of a CSV file, its header first, without empty ones and a last one that is not whole."""
+def _read(path: Path) -> tuple[list[str], dict[int, list[str]]]:
+    """Return the header and, by generation, the rows of a table, without a last one that is not whole."""
     try:
         text = path.read_text(encoding="utf-8")
-        rows = list(csv.reader(io.StringIO(text)))
+        lines = list(csv.reader(io.StringIO(text)))
+        header, *rows = [row for row in (lines if text.endswith("\n") else lines[:-1]) if row] or [[]]
+        for number, row in enumerate(rows, start=1):
+            if len(row) < len(header):
+                raise ValueError(  # noqa: TRY301 - worded below, as every fault of a table
+                    f"row {number} below the header has {len(row)} values for {len(header)} columns"
+                )
+            list(map(float, row))  # raises for a word
+        return header, {int(row[0]): row for row in rows}
     except (OSError, ValueError, csv.Error) as error:
-        raise _damaged(path, error) from error
-    return [row for row in (rows if text.endswith("\n") else rows[:-1]) if row]
-
-
-def _columns(path: Path, rows: Sequence[Sequence[str]]) -> dict[str, list[float]]:
-    """Return the columns of the `rows` of `path` by name; none without a row below the header."""
-    header, *rows = rows or [()]
-    for number, row in enumerate(rows, start=1):
-        if len(row) < len(header):
-            text = f"row {number} below the header has {len(row)} values for {len(header)} columns"
-            raise _damaged(path, text)
-    try:
-        return {name: [float(row[i]) for row in rows] for i, name in enumerate(header if rows else ())}
-    except ValueError as error:
-        raise _damaged(path, error) from error
-
-
-def _damaged(path: Path, reason: object) -> RunFolderError:
-    return RunFolderError(
-        f"{path} cannot be read as a table of numbers: {short_text(reason)}. Restore it from a copy, or empty it to "
-        "resume without the rows so far."
-    )
+        raise RunFolderError(
+            f"{path} cannot be read as a table of numbers: {short_text(error)}. Restore it from a copy, or let it be "
+            "an empty file, to go on without the rows so far."
+        ) from error
 
 
 def csv_text(rows: Iterable[Sequence[Any]]) -> str:
@@ -79,25 +74,16 @@ class CsvTable:
     def __init__(self, path: Path, keep_until: int, *, has_every_row: bool = False) -> None:
         """Open `path` and remove the rows after generation `keep_until`, which may be cut off."""
         self._path = path
-        if keep_until and not path.is_file():
+        header, rows = _read(path) if keep_until or path.is_file() else ([], {})
+        kept = {generation: row for generation, row in rows.items() if generation <= keep_until}
+        if has_every_row and kept and max(kept) != keep_until:
             raise RunFolderError(
-                f"{path} is missing, but the run has made {keep_until} generations. Restore it from a copy, or make an "
-                "empty file of this name to go on without the rows so far."
-            )
-        header, *rows = (_read_rows(path) if path.is_file() else []) or [[]]
-        _columns(path, [header, *rows])  # raises if it is damaged
-        try:
-            kept = [row for row in rows if int(row[0]) <= keep_until]
-        except ValueError as error:
-            raise _damaged(path, error) from error
-        if has_every_row and kept and int(kept[-1][0]) != keep_until:
-            raise RunFolderError(
-                f"{path} ends with generation {kept[-1][0]}, but the run has made {keep_until}: rows are missing. "
-                "Restore it from a copy, or empty it to go on without the rows so far."
+                f"{path} ends with generation {max(kept)}, but the run has made {keep_until}: rows are missing. "
+                "Restore it from a copy, or let it be an empty file, to go on without the rows so far."
             )
         self._columns = header if kept else []  # a header alone is written again with the first row
         if path.is_file():
-            text = csv_text([header, *kept]) if kept else ""
+            text = csv_text([header, *kept.values()]) if kept else ""
             write_atomically(path, lambda file: file.write(text.encode()))
 
     def add(self, row: Row) -> None:

@@ -70,22 +70,19 @@ class Run:
     @property
     def progress(self) -> dict[str, F64Array]:
         """The columns of `progress.csv` by name, a value per generation; empty before the first one."""
-        return _columns(RunFolder(self.path).progress)
+        return read_csv(RunFolder(self.path).progress)
 
     @property
     def evaluations(self) -> dict[str, F64Array]:
         """The columns of `evaluation.csv` by name, a value per evaluation; empty before the first one."""
-        return _columns(RunFolder(self.path).evaluation)
-
-
-def _columns(table: Path) -> dict[str, F64Array]:
-    return {name: np.array(values) for name, values in read_csv(table).items()} if table.exists() else {}
+        return read_csv(RunFolder(self.path).evaluation)
 
 
 def train(
-    env: str,
+    env: str | None = None,
     *,
-    preset: str = "laptop",
+    like: Path | str | None = None,
+    preset: str | None = None,
     out: Path | str | None = None,
     listener: AnyListener = None,
     progress: bool | None = None,
@@ -94,8 +91,10 @@ def train(
     """Train on `env` and return the run.
 
     Args:
-        env: Environment, e.g. `ant-gather`.
-        preset: `laptop`, `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
+        env: Environment, e.g. `ant-gather`; that of run `like` if none.
+        like: A run folder or shipped agent that gives every setting that is not given here, except for the seed. In
+            another environment, values of its preset are those for that environment.
+        preset: `laptop` (if none), `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
         out: The run folder, which must not hold a run; a new one below `runs/` if none.
         listener: Receives the progress: a function of a row of `progress.csv`, an object with any of the methods
             `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by
@@ -117,7 +116,7 @@ def train(
             "or use the command line: shes train ENV --seed 1 2 3"
         )
     with with_display(listener, progress) as heard:
-        return start_run(make_config(env, preset, settings), out, heard)
+        return start_run(make_config(env, preset, {**settings, "like": like}), out, heard)
 
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:

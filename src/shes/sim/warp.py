@@ -62,6 +62,7 @@ class WarpSimulator(Simulator):
         device: str = "cuda",
         nconmax: int | None = None,
         njmax: int | None = None,
+        deterministic: bool = False,
     ) -> None:
         """Make `num_sims` simulations of `model` on `device`, in its default state.
 
@@ -73,6 +74,8 @@ class WarpSimulator(Simulator):
                 be tested. By default from the model's geoms.
             njmax: Size of each simulation's constraint buffer: rows for contacts, joint limits, friction losses and
                 equalities. By default from the model's geoms and limits.
+            deterministic: Whether contacts, constraints and sums are in a fixed order, so that results repeat bit by
+                bit on a GPU; slower.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
@@ -97,13 +100,13 @@ class WarpSimulator(Simulator):
         self.xp = self._device.xp
         with self._warp.ScopedDevice(self._device.warp_device):
             self._allocate()
+        self._model.opt.deterministic = deterministic
         self._graphs: dict[int, Any] = {}
         self._timers: list[Callable[[], float]] = []  # of steps whose time is not in `_device_s` yet
         self._device_s = 0.0
         self.reset(np.arange(num_sims))
 
     def _allocate(self) -> None:
-        """Allocate model and state on the device."""
         wp, view = self._warp, self._device.view
         try:
             self._model: Any = self._mujoco_warp.put_model(self.model)
@@ -113,20 +116,20 @@ class WarpSimulator(Simulator):
         self._model.callback.control = self._watch
         self._model.callback.contactfilter = self.align_tangents
         self._data: Any = self._mujoco_warp.make_data(self.model, self.num_sims, nconmax=self.nconmax, njmax=self.njmax)
-        size = self.model.nq + 2 * self.model.nv + 1
-        self._kept = wp.zeros((self.num_sims, size), dtype=wp.float32)
-        self._wanted_ctrl = wp.zeros((self.num_sims, self.model.nu), dtype=wp.float32)
-        self._default_qpos = wp.array(self.model.qpos0, dtype=wp.float32)
-        self._is_active, self._has_diverged = (wp.zeros(self.num_sims, dtype=wp.bool) for _ in range(2))
-        self._peak_constraints = wp.zeros(self.num_sims, dtype=wp.int32)
+        sims, data = self.num_sims, self._data
+        self._arrays = arrays = self._kernels.Arrays()
+        for name in ("qpos", "qvel", "time", "ctrl", "qacc", "qacc_smooth"):
+            setattr(arrays, name, getattr(data, name))
+        arrays.warmstart = data.qacc_warmstart
+        arrays.default_qpos = wp.array(self.model.qpos0, dtype=wp.float32)
+        arrays.wanted_ctrl = wp.zeros((sims, self.model.nu), dtype=wp.float32)
+        arrays.kept = wp.zeros((sims, self.model.nq + 2 * self.model.nv + 1), dtype=wp.float32)
+        arrays.active, arrays.diverged = (wp.zeros(sims, dtype=wp.bool) for _ in range(2))
+        self._peak_constraints = wp.zeros(sims, dtype=wp.int32)
         self._peak_contacts = wp.zeros(1, dtype=wp.int32)
-        self.qpos = view(self._data.qpos)
-        self.qvel = view(self._data.qvel)
-        self.ctrl = view(self._wanted_ctrl)
-        self.diverged = view(self._has_diverged)
-        time = view(self._data.time).reshape(self.num_sims, 1)
-        self.state_parts = (self.qpos, self.qvel, view(self._data.qacc_warmstart), time)
-        self._active = view(self._is_active)
+        self.qpos, self.qvel, self.ctrl = view(arrays.qpos), view(arrays.qvel), view(arrays.wanted_ctrl)
+        self.diverged, self._active = view(arrays.diverged), view(arrays.active)
+        self.state_parts = (self.qpos, self.qvel, view(arrays.warmstart), view(arrays.time).reshape(sims, 1))
 
     def reset(self, ids: IntArray) -> None:
         """Reset simulations `ids` to the model's default state, time and the solver's warm start included."""
@@ -135,7 +138,7 @@ class WarpSimulator(Simulator):
         for array in (*self.state_parts[1:], self.ctrl, self.diverged):
             array[ids] = 0
 
-    def advance(self, ids: IntArray, nstep: int) -> None:
+    def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
 
         All simulations are computed; the states of those that are not in `ids` are saved before and restored after.
@@ -151,19 +154,15 @@ class WarpSimulator(Simulator):
             self._warp.capture_launch(self._graphs[nstep])
 
     @property
-    def physics_s(self) -> float:
+    def physics_s(self) -> float:  # type: ignore[override] - an attribute on the CPU
         """Seconds that the device has spent on steps so far; waits for the device."""
         while self._timers:
             self._device_s += self._timers.pop()()
         return self._device_s
 
-    def peaks(self) -> tuple[int, int]:
-        """Return the most contacts or pairs of all simulations, and constraint rows of one; waits for the device."""
-        return int(self._peak_contacts.numpy()[0]), int(self._peak_constraints.numpy().max())
-
     def check_buffers(self) -> None:
         """Check that the buffers have sufficed; waits for the device. See `Simulator.check_buffers`."""
-        contacts, rows = self.peaks()
+        contacts, rows = int(self._peak_contacts.numpy()[0]), int(self._peak_constraints.numpy().max())
         if contacts > self.nconmax * self.num_sims:
             raise ConfigError(
                 f"mujoco-warp's contact buffer overflowed: {contacts} contacts or close pairs of geoms in "
@@ -178,13 +177,13 @@ class WarpSimulator(Simulator):
 
     def _capture(self, nstep: int) -> Any:
         """Return the graph of `nstep` substeps. The first call compiles the kernels, which takes up to a minute."""
-        wp, data = self._warp, self._data
+        wp, arrays = self._warp, self._arrays
         with wp.ScopedDevice(self._device.warp_device):
             if not self._graphs:  # a substep compiles every kernel; then the state is restored
-                arrays = (data.qpos, data.qvel, data.qacc_warmstart, data.time, self._has_diverged)
-                copies = [wp.clone(array) for array in arrays]
+                changed = (arrays.qpos, arrays.qvel, arrays.warmstart, arrays.time, arrays.diverged)
+                copies = [wp.clone(array) for array in changed]
                 self._launch(1)
-                for array, copy in zip(arrays, copies, strict=True):
+                for array, copy in zip(changed, copies, strict=True):
                     wp.copy(array, copy)
             with wp.ScopedCapture() as capture:
                 self._launch(nstep)
@@ -192,16 +191,12 @@ class WarpSimulator(Simulator):
 
     def _launch(self, nstep: int) -> None:
         """Launch or record a control step of `nstep` substeps."""
-        kernels, data = self._kernels, self._data
-        state = [data.qpos, data.qvel, data.qacc_warmstart, data.time]
-        results = [data.ctrl, self._has_diverged]
-        before = [self._is_active, self._wanted_ctrl, self._default_qpos, *state, self._kept, *results]
-        after = [self._is_active, self._default_qpos, data.qacc, data.qacc_smooth, *state, *results]
-        self._launch_kernel(kernels.begin_control_step, before)
+        kernels, arrays = self._kernels, [self._arrays]
+        self._launch_kernel(kernels.begin_control_step, arrays)
         for _ in range(nstep):
-            self._mujoco_warp.step(self._model, data)
-            self._launch_kernel(kernels.check_substep, after)
-        self._launch_kernel(kernels.end_control_step, [self._is_active, self._kept, *state])
+            self._mujoco_warp.step(self._model, self._data)
+            self._launch_kernel(kernels.check_substep, arrays)
+        self._launch_kernel(kernels.end_control_step, arrays)
 
     def _watch(self, _model: Any, data: Any) -> None:
         """Record the use of the buffers. mujoco-warp calls this in every evaluation of the dynamics, RK4's included."""

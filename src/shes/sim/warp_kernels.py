@@ -21,6 +21,24 @@ _MIN_LENGTH = wp.constant(wp.float32(1e-6))
 """Least angle in radians between a capsule and the plane's normal at which its contact is realigned."""
 
 
+@wp.struct
+class Arrays:
+    """Arrays of N simulations: mujoco-warp's own, and what the kernels of a control step add."""
+
+    qpos: wp.array2d[wp.float32]
+    qvel: wp.array2d[wp.float32]
+    warmstart: wp.array2d[wp.float32]
+    time: wp.array[wp.float32]
+    ctrl: wp.array2d[wp.float32]
+    qacc: wp.array2d[wp.float32]
+    qacc_smooth: wp.array2d[wp.float32]
+    default_qpos: wp.array[wp.float32]
+    wanted_ctrl: wp.array2d[wp.float32]
+    kept: wp.array2d[wp.float32]
+    active: wp.array[wp.bool]
+    diverged: wp.array[wp.bool]
+
+
 @wp.func
 def _is_bad(values: wp.array2d[wp.float32], sim: wp.int32) -> wp.bool:
     """Return whether a row has a value that MuJoCo considers bad: NaN, infinite, or beyond mjMAXVAL."""
@@ -33,111 +51,77 @@ def _is_bad(values: wp.array2d[wp.float32], sim: wp.int32) -> wp.bool:
 
 
 @wp.func
-def _set_default(
-    sim: wp.int32,
-    default_qpos: wp.array[wp.float32],
-    qpos: wp.array2d[wp.float32],
-    qvel: wp.array2d[wp.float32],
-    warmstart: wp.array2d[wp.float32],
-    time: wp.array[wp.float32],
-) -> None:
+def _set_default(sim: wp.int32, state: Arrays) -> None:
     """Reset a simulation to the model's default state."""
-    for i in range(qpos.shape[1]):
-        qpos[sim, i] = default_qpos[i]
-    for i in range(qvel.shape[1]):
-        qvel[sim, i] = 0.0
-        warmstart[sim, i] = 0.0
-    time[sim] = 0.0
+    for i in range(state.qpos.shape[1]):
+        state.qpos[sim, i] = state.default_qpos[i]
+    for i in range(state.qvel.shape[1]):
+        state.qvel[sim, i] = 0.0
+        state.warmstart[sim, i] = 0.0
+    state.time[sim] = 0.0
 
 
 @wp.kernel(enable_backward=False)
-def begin_control_step(  # noqa: PLR0917 - a kernel is launched with a list of arrays
-    active: wp.array[wp.bool],
-    ctrl: wp.array2d[wp.float32],
-    default_qpos: wp.array[wp.float32],
-    qpos: wp.array2d[wp.float32],
-    qvel: wp.array2d[wp.float32],
-    warmstart: wp.array2d[wp.float32],
-    time: wp.array[wp.float32],
-    kept: wp.array2d[wp.float32],
-    applied: wp.array2d[wp.float32],
-    diverged: wp.array[wp.bool],
-) -> None:
+def begin_control_step(state: Arrays) -> None:
     """Copy the controls, detect bad values, and save the state of inactive simulations.
 
     Inactive simulations spend the step in the default pose, which has few contacts; `end_control_step` restores them.
     """
     sim = wp.tid()
-    nq = qpos.shape[1]
-    nv = qvel.shape[1]
-    if not active[sim]:
+    nq = state.qpos.shape[1]
+    nv = state.qvel.shape[1]
+    is_active = state.active[sim]
+    if not is_active:
         for i in range(nq):
-            kept[sim, i] = qpos[sim, i]
+            state.kept[sim, i] = state.qpos[sim, i]
         for i in range(nv):
-            kept[sim, nq + i] = qvel[sim, i]
-            kept[sim, nq + nv + i] = warmstart[sim, i]
-        kept[sim, nq + 2 * nv] = time[sim]
-    bad_state = _is_bad(qpos, sim) or _is_bad(qvel, sim)
-    bad_ctrl = _is_bad(ctrl, sim)
-    if bad_state or not active[sim]:
-        _set_default(sim, default_qpos, qpos, qvel, warmstart, time)
-    for i in range(ctrl.shape[1]):
-        if bad_state or bad_ctrl or not active[sim]:
-            applied[sim, i] = 0.0
+            state.kept[sim, nq + i] = state.qvel[sim, i]
+            state.kept[sim, nq + nv + i] = state.warmstart[sim, i]
+        state.kept[sim, nq + 2 * nv] = state.time[sim]
+    bad_state = _is_bad(state.qpos, sim) or _is_bad(state.qvel, sim)
+    bad_ctrl = _is_bad(state.wanted_ctrl, sim)
+    if bad_state or not is_active:
+        _set_default(sim, state)
+    for i in range(state.ctrl.shape[1]):
+        if bad_state or bad_ctrl or not is_active:
+            state.ctrl[sim, i] = 0.0
         else:
-            applied[sim, i] = ctrl[sim, i]
-    if active[sim] and (bad_state or bad_ctrl):
-        diverged[sim] = True
+            state.ctrl[sim, i] = state.wanted_ctrl[sim, i]
+    if is_active and (bad_state or bad_ctrl):
+        state.diverged[sim] = True
 
 
 @wp.kernel(enable_backward=False)
-def check_substep(  # noqa: PLR0917 - as above
-    active: wp.array[wp.bool],
-    default_qpos: wp.array[wp.float32],
-    qacc: wp.array2d[wp.float32],
-    qacc_smooth: wp.array2d[wp.float32],
-    qpos: wp.array2d[wp.float32],
-    qvel: wp.array2d[wp.float32],
-    warmstart: wp.array2d[wp.float32],
-    time: wp.array[wp.float32],
-    applied: wp.array2d[wp.float32],
-    diverged: wp.array[wp.bool],
-) -> None:
+def check_substep(state: Arrays) -> None:
     """Mark simulations that have diverged, and reset them with zero controls, as MuJoCo does.
 
     The unconstrained acceleration is checked too: if its square overflows float32, mujoco-warp's solver gives up and
     leaves an acceleration of 0, which is not bad by itself.
     """
     sim = wp.tid()
-    if _is_bad(qacc, sim) or _is_bad(qacc_smooth, sim) or _is_bad(qpos, sim) or _is_bad(qvel, sim):
-        _set_default(sim, default_qpos, qpos, qvel, warmstart, time)
-        for i in range(applied.shape[1]):
-            applied[sim, i] = 0.0
-        if active[sim]:
-            diverged[sim] = True
+    bad_acceleration = _is_bad(state.qacc, sim) or _is_bad(state.qacc_smooth, sim)
+    if bad_acceleration or _is_bad(state.qpos, sim) or _is_bad(state.qvel, sim):
+        _set_default(sim, state)
+        for i in range(state.ctrl.shape[1]):
+            state.ctrl[sim, i] = 0.0
+        if state.active[sim]:
+            state.diverged[sim] = True
 
 
 @wp.kernel(enable_backward=False)
-def end_control_step(
-    active: wp.array[wp.bool],
-    kept: wp.array2d[wp.float32],
-    qpos: wp.array2d[wp.float32],
-    qvel: wp.array2d[wp.float32],
-    warmstart: wp.array2d[wp.float32],
-    time: wp.array[wp.float32],
-) -> None:
+def end_control_step(state: Arrays) -> None:
     """Restore the state of inactive simulations."""
     sim = wp.tid()
-    if active[sim]:
+    if state.active[sim]:
         return
-    nq = qpos.shape[1]
-    nv = qvel.shape[1]
+    nq = state.qpos.shape[1]
+    nv = state.qvel.shape[1]
     for i in range(nq):
-        qpos[sim, i] = kept[sim, i]
+        state.qpos[sim, i] = state.kept[sim, i]
     for i in range(nv):
-        qvel[sim, i] = kept[sim, nq + i]
-        warmstart[sim, i] = kept[sim, nq + nv + i]
-    time[sim] = kept[sim, nq + 2 * nv]
+        state.qvel[sim, i] = state.kept[sim, nq + i]
+        state.warmstart[sim, i] = state.kept[sim, nq + nv + i]
+    state.time[sim] = state.kept[sim, nq + 2 * nv]
 
 
 @wp.kernel(enable_backward=False)

@@ -48,23 +48,18 @@ class MeanCurve:
         return not len(self.grid)
 
 
-def mean_curve(x: Sequence[F64Array], y: Sequence[F64Array]) -> MeanCurve:
-    """Return the mean of curves where all have values, which are interpolated linearly.
+def mean_curve(*curves: tuple[F64Array, F64Array]) -> MeanCurve:
+    """Return the mean of curves where all have values; they are ascending abscissae and values, joined linearly.
 
     Without a common range of at least half of their median length there is no mean: it would leave out most of what
     the runs did.
-
-    Args:
-        x: Ascending abscissae of each curve.
-        y: Its values.
     """
-    curves = tuple(zip(x, y, strict=True))
     if len(curves) == 1:
-        return MeanCurve(grid=x[0], values=np.stack(y))
-    start, end = max(each[0] for each in x), min(each[-1] for each in x)
-    if end - start < _LEAST_OVERLAP * np.median([each[-1] - each[0] for each in x]):
+        return MeanCurve(grid=curves[0][0], values=curves[0][1][None])
+    start, end = max(x[0] for x, _ in curves), min(x[-1] for x, _ in curves)
+    if end - start < _LEAST_OVERLAP * np.median([x[-1] - x[0] for x, _ in curves]):
         return MeanCurve(grid=np.empty(0), values=np.empty((len(curves), 0)), singles=curves)
-    every = np.concatenate(x)
+    every = np.concatenate([x for x, _ in curves])
     grid = np.unique(every[(every >= start) & (every <= end)])
     values = np.stack([np.interp(grid, *curve) for curve in curves])
     if len(curves) == 2:
@@ -77,7 +72,7 @@ def column_curve(tables: Sequence[Table], column: str, x: str) -> MeanCurve:
 
     A single table of evaluations has a band of two standard errors over the episodes on either side.
     """
-    curve = mean_curve([table[x] * X_AXES[x][1] for table in tables], [table[column] for table in tables])
+    curve = mean_curve(*((table[x] * X_AXES[x][1], table[column]) for table in tables))
     spread = column.replace("_mean", "_std")
     if len(tables) > 1 or spread == column or not {spread, "episodes"} <= tables[0].keys():
         return curve

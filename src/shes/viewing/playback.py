@@ -97,12 +97,18 @@ class Playback:
                 return
 
     def _played(self, step: int, trail: deque[F64Array], end: str) -> PlayedStep:
-        task = self.task
+        task, height = self.task, self.task.ground_m + _ABOVE_GROUND_M
         sensed = task.sensor_markers(0) if self._shows_sensors else []
+        places = [(*place, height) for place in trail]
+        way = [Marker("line", start, _LINE_RADIUS_M, TRAIL, stop) for start, stop in pairwise(places)]
+        spot = Marker("disc", places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
+        goals = [] if self.goal is None else [(*self.goal, height)]
+        to_goal = [Marker("line", places[-1], _LINE_RADIUS_M / 2, GOAL, goal) for goal in goals]
+        to_goal += [Marker("disc", goal, _GOAL_RADIUS_M, GOAL) for goal in goals]
         facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", end)
         return PlayedStep(
             pose=task.pose(0),
-            markers=[*task.markers(0), *sensed, *_goal_and_trail(self.goal, trail, task.ground_m)],
+            markers=[*task.markers(0), *sensed, *way, spot, *to_goal],
             facts=tuple(filter(None, facts)),
             inputs=() if self._view is None else input_words(self._view, task),
             is_last=bool(end),
@@ -128,19 +134,6 @@ def input_words(view: View, task: EpisodeBatch) -> tuple[str, ...]:
         else:
             found.append(f"{len(group)} of {word} up to {max(group.values()):.2f}")
     return tuple(found)
-
-
-def _goal_and_trail(place: F64Array | None, trail: deque[F64Array], ground_m: float) -> list[Marker]:
-    """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
-    height = ground_m + _ABOVE_GROUND_M
-    places = [(*place, height) for place in trail]
-    way = [Marker("line", start, _LINE_RADIUS_M, TRAIL, end) for start, end in pairwise(places)]
-    spot = Marker("disc", places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
-    if place is None:
-        return [*way, spot]
-    goal = (*place, height)
-    to_goal = Marker("line", places[-1], _LINE_RADIUS_M / 2, GOAL, goal)
-    return [*way, spot, to_goal, Marker("disc", goal, _GOAL_RADIUS_M, GOAL)]
 
 
 @checked

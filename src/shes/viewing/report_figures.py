@@ -43,9 +43,17 @@ _CELL_HALF_M = 0.45
 class Panel(NamedTuple):
     """A column of a table to be drawn."""
 
-    section: str
     table: str
     column: str
+
+    @property
+    def section(self) -> str | None:
+        """The section of the column; None if it is an abscissa, a time or a spread, which have other places."""
+        is_rate = self.column == "env_steps_per_s"
+        if self.column in X_AXES or (self.column.endswith(("_s", "_std")) and not is_rate):
+            return None
+        is_outcome = self.column.startswith(("score", "success_rate", "return", "goals_reached"))
+        return SECTIONS[0] if is_outcome or self.column.endswith("_return_mean") else SECTIONS[1]
 
     @property
     def title(self) -> str:
@@ -54,25 +62,16 @@ class Panel(NamedTuple):
         return words if self.section == SECTIONS[1] else f"{words}, {self.table.replace('progress', 'training')}"
 
 
-def panels_of(runs: Sequence[RunData]) -> list[Panel]:
-    """Return the panels of all columns that change in a run, by section; in each, evaluation comes first."""
+def panels_of(runs: Sequence[RunData], section: str) -> list[Panel]:
+    """Return the panels of a section, of the columns that change in a run; those of evaluation come first."""
     found: dict[Panel, None] = {}
     for table in ("evaluation", "progress"):
         for run in runs:
             for column, values in run.tables[table].items():
-                section, finite = _section(column), values[np.isfinite(values)]
-                if section and len(finite) and (finite.min() < finite.max() or len(values) == 1):
-                    found[Panel(section, table, column)] = None
-    return sorted(found, key=lambda panel: SECTIONS.index(panel.section))
-
-
-def _section(column: str) -> str | None:
-    """Return the section of a column; None if it is an abscissa, a time or a spread, which have other places."""
-    is_rate = column == "env_steps_per_s"
-    if column in X_AXES or (column.endswith(("_s", "_std")) and not is_rate):
-        return None
-    is_outcome = column.startswith(("score", "success_rate", "return")) or column.endswith("_return_mean")
-    return SECTIONS[0] if is_outcome or "goals_reached" in column else SECTIONS[1]
+                panel, finite = Panel(table, column), values[np.isfinite(values)]
+                if panel.section == section and len(finite) and (finite.min() < finite.max() or len(values) == 1):
+                    found[panel] = None
+    return list(found)
 
 
 def curve_figure(panels: Sequence[Panel], groups: Sequence[Group]) -> Figure:
@@ -103,10 +102,7 @@ def _curve_layout(panels: Sequence[Panel], abscissae: Sequence[str]) -> dict[str
         {
             "method": "update",
             "label": label,
-            "args": [
-                {"visible": [each == x for each in abscissae]},
-                {f"{axis}.title.text": label for axis in axes},
-            ],
+            "args": [{"visible": [each == x for each in abscissae]}, {f"{axis}.title.text": label for axis in axes}],
         }
         for x, (label, _) in X_AXES.items()
     ]
@@ -152,12 +148,10 @@ def _traces(panel: Panel, group: Group, x: str) -> Iterator[dict[str, Any]]:
 def _scatter(x: FloatArray, y: FloatArray, **look: Any) -> dict[str, Any]:
     """Return a trace of points, with six digits for JSON, which has neither NaN nor infinity."""
     every = max(1, -(-len(x) // _MOST_POINTS))
-    columns = {"x": x[::every].tolist(), "y": y[::every].tolist()}
-    rounded = {
-        name: [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
-        for name, values in columns.items()
-    }
-    return {"type": "scatter", **rounded, **look}
+    found: dict[str, Any] = {"type": "scatter"}
+    for name, values in (("x", x), ("y", y)):
+        found[name] = [float(f"{it:.6g}") if np.isfinite(it) else None for it in values[::every].tolist()]
+    return found | look
 
 
 def play_maps(run: Path, episodes: int, seed: int | None = None) -> list[Figure]:
@@ -169,7 +163,7 @@ def play_maps(run: Path, episodes: int, seed: int | None = None) -> list[Figure]
     playback = Playback(run, "best", seed)
     task = playback.task
     try:
-        layout = _map_layout(None if task.draws_itself else task.world_to_draw().compile())
+        layout = _map_layout(None if task.robot is None else task.world_to_draw().compile())
         traces = [each for number in range(min(episodes, MOST_EPISODES)) for each in _episode_traces(playback, number)]
     finally:
         task.close()

@@ -10,6 +10,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from hashlib import sha256
@@ -289,9 +290,15 @@ class Robot(FreeBody):
         """Return a function that makes the robot anywhere, also where its file is not."""
         return partial(cls, options, read_robot(options.robot))  # type: ignore[attr-defined] - of class RobotOptions
 
-    def _spec(self, *, is_drawn: bool = False) -> mujoco.MjSpec:
+    def as_drawn(self) -> Body:
+        """Return the robot as it looks, with the shapes that its physics does not need."""
+        drawn = copy(self)
+        drawn.file = self.file._replace(physics=self.file.content)
+        return drawn
+
+    def _spec(self) -> mujoco.MjSpec:
         """Return the robot's spec with the motors of the options."""
-        spec = _spec_of(self.file.content if is_drawn else self.file.physics)
+        spec = _spec_of(self.file.physics)
         root = _root(spec, self.name)
         if self.options.motors is not None:
             if len(spec.actuators):
@@ -307,13 +314,7 @@ class Robot(FreeBody):
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add the robot with its actuators to `spec`, and the physics of its file."""
-        self._attach(self._spec(), spec, ground_m)
-
-    def add_drawn_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the robot as it looks; see `Body.add_drawn_to`."""
-        self._attach(self._spec(is_drawn=True), spec, ground_m)
-
-    def _attach(self, child: mujoco.MjSpec, spec: mujoco.MjSpec, ground_m: float) -> None:
+        child = self._spec()
         for part in [*child.keys, *child.sensors, *child.lights, *child.cameras]:
             child.delete(part)
         for name in _PHYSICS:
