@@ -183,7 +183,7 @@ def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, 
 def _robot(env: str, values: Mapping[str, Any]) -> str:
     found = find_environment(env)
     if env in ROBOT_ENVIRONMENTS:
-        return f"the robot {read_robot(values.get('robot')).name}"
+        return f"the robot {read_robot(values.get('robot')).label}"
     return f"the {found.body.name}" if isinstance(found, Environment) else "an external robot"
 
 
