@@ -49,6 +49,8 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
         env = named
         del asked["robot"]
     asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
+    if isinstance(asked.get("robot"), Path):
+        asked["robot"] = str(asked["robot"])
     values = {"env": env, "preset": preset, **preset_values(env, preset, {**own, **asked}), **own, **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}

@@ -323,7 +323,7 @@ class Robot(FreeBody):
         child.nkey = spec.nkey  # MuJoCo warns where the two specs differ
         child.visual.map.znear, child.visual.map.zfar = spec.visual.map.znear, spec.visual.map.zfar
         for name in dir(spec):
-            if name.startswith("nuser_"):
+            if name.startswith("nuser_") or name in ("njmax", "nconmax", "nstack", "memory"):
                 setattr(child, name, getattr(spec, name))
         spec.worldbody.add_frame(pos=[0, 0, ground_m]).attach_body(_root(child, self.name), _PREFIX, "")
 
@@ -351,7 +351,7 @@ class Robot(FreeBody):
             "time": f"physics step {self.timestep_s:g} s, control step {step:g} s",
             "fallen": f"tilt above {MAX_TILT:g} degrees, or lower than {_MIN_HEIGHT * self.home[2]:.3g} m",
             "symmetry": f"{turns}, {mirror}",
-            "size": f"{self.scale:g} of the ant's: cells of {8 * self.scale:g} m, goals within {4 * self.scale:g} m",
+            "size": f"{self.scale:g} of the ant's: cells of {8 * self.scale:g} m",
         }
 
     def _home_pose(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[F64Array, float]:
