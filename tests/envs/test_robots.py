@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.agents.goal_agent import Frames
 from shes.envs.bodies.ant import Ant
-from shes.envs.bodies.body import dihedral_group, signed_permutation
+from shes.envs.bodies.body import dihedral_group
 from shes.envs.bodies.robot import Robot, RobotOptions, read_robot
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS
 from shes.errors import ConfigError
@@ -37,6 +37,11 @@ def task(robot, num_episodes=1, name="flagrun", **options):
     """Return a task with `robot`."""
     own = ROBOT_ENVIRONMENTS[name].task
     return own(robot, num_episodes, own.Options(**options))
+
+
+def signed_permutation(source, sign):
+    """Return the matrix [V, V] of `new[i] = sign[i] * old[source[i]]`."""
+    return np.eye(len(source))[list(source)] * np.array(sign)[:, None]
 
 
 # Symmetry.
@@ -114,7 +119,7 @@ def test_a_robot_moves_in_an_image_as_the_image_of_it(make, name):
     """Its views, given in the frame of each element, are those of a robot that was turned and mirrored in this way."""
     robot = make(GROUPS[name][0])
     group = robot.symmetry(is_mirrored=True)
-    count, rng = group.num_elements, np.random.default_rng(0)
+    count, rng = len(group.view_index), np.random.default_rng(0)
     env = task(robot, 2 * count, reset_noise=0.0)
     env.reset(np.arange(2 * count), range(2 * count))
     frames, goals = Frames(group, count), np.stack(group.direction()[:2], axis=1)
