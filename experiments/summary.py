@@ -14,6 +14,7 @@ from experiments.results import RunResults, joined
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import Row, read_csv
+from shes.types import F64Array
 
 _COLUMNS = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 
@@ -63,12 +64,12 @@ def _curve(run: Run, out: Path, outer_level: str) -> list[Row]:
             ("training_success_rate", "success_rate"),
             ("training_return_mean", f"{outer_level}_return_mean"),
         ):
-            shown[name] = sum(progress[column][first:end]) / (end - first)
+            shown[name] = sum(progress[column][first:end].tolist()) / (end - first)
         curve.append({**run.identity, **shown, "seconds": seconds[i], **before})
     return curve
 
 
-def _times(folder: RunFolder, table: Literal["progress", "evaluation"] = "progress") -> list[float]:
+def _times(folder: RunFolder, table: Literal["progress", "evaluation"] = "progress") -> F64Array:
     """Return the time of a run at the rows of one of its tables, in seconds.
 
     That of a run in one process is its processor time: with other work on the machine, as one run has in another one,

@@ -33,6 +33,6 @@ class DeviceSimulator(Simulator):
         assert isinstance(states, np.ndarray)
         self._cpu.set_states(ids, states)
 
-    def advance(self, ids, nstep):
+    def step(self, ids, nstep):
         assert isinstance(ids, np.ndarray)
         self._cpu.step(ids, nstep)

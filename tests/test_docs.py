@@ -187,7 +187,8 @@ def flags():
 @pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
-    own = {"--logdir", "--head", "--address", "--oversubscribe"}  # of TensorBoard, Ray and MPI
+    own = {"--mjcf", "--goal"}  # of the viewer of MuJoCo, and of an example
+    own |= {"--logdir", "--head", "--address", "--oversubscribe"}  # of TensorBoard, Ray and MPI
     own |= {"--scale", "--seeds", "--only", "--no-run", "--description", "--command"}  # of `python -m experiments`
     own |= {flag(name) for name in re.findall(r"^ +(\w+): Annotated\[", text, flags=re.MULTILINE)}  # of an example
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags | own

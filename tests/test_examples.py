@@ -15,10 +15,11 @@ import pytest
 import shes
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
-MAX_LINES = {"random_search": 80, "run_exported": 145, "optuna_search": 25, "wandb_logging": 25}
+MAX_LINES = {"random_search": 80, "run_exported": 155, "optuna_search": 25, "wandb_logging": 25}
 """Maximum number of lines of an example; 60 by default."""
 PRINTS = {
     "animate_search": r"search\.gif: 809 places, a path of 300 steps",
+    "drive_robot": r" 10 s: \d\.\d\d m to the goal",
     "es_on_sphere": r"generation 200: distance 0\.0\d+",
     "figure_from_csv": r"figure\.png: 470 generations of ant-gather-laptop",
     "flat_es": r"generation 30: return [1-9]\.\d+",
@@ -31,6 +32,15 @@ PRINTS = {
     "own_reward": r"after: primitive return [3-9]\d\.\d per episode",
 }
 """Last line that each example prints, which shows that it works and learns."""
+SMALL = {
+    "generations": 1,
+    "population_size": 4,
+    "noise_table_size": 1_000_000,
+    "horizon": 50,
+    "evaluation_horizon": 50,
+    "backend": "serial",
+}
+"""Settings of a run whose policy an example drives."""
 STAND_INS = Path(__file__).parent / "stand_ins"
 """Modules for optional packages that examples need, whether they are installed or not."""
 SECONDS = {"animate_search", "flat_es", "hierarchical_run", "optuna_search", "own_environment", "own_reward"}
@@ -54,6 +64,9 @@ def test_an_example_is_short_and_what_it_prints_is_known(path):
 def test_an_example_runs(path, tmp_path):
     if path.stem == "run_exported":
         shes.export("ant-gather", tmp_path / "policy.npz")
+    if path.stem == "drive_robot":
+        run = shes.train("flagrun", robot=str(path.with_name("hexapod.xml")), out=tmp_path / "run", **SMALL)
+        shes.export(run.path, tmp_path / "policy.npz")
     environment = {**os.environ, "PYTHONPATH": str(STAND_INS)}
     done = subprocess.run(
         [sys.executable, path], capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=110, check=False
@@ -75,9 +88,14 @@ def test_trackio_takes_the_place_of_wandb(tmp_path):
 # Notebooks.
 
 NOTEBOOKS = sorted((EXAMPLES[0].parent / "notebooks").glob("*.ipynb"))
-SHORTER = {"GENERATIONS": "2", "GENERATIONS, SEEDS": "2, (1, 2)", "STEPS": "4"}
+HEXAPOD = EXAMPLES[0].with_name("hexapod.xml")
+SHORTER = {"GENERATIONS": "2", "GENERATIONS, SEEDS": "2, (1, 2)", "STEPS": "4", "ROBOT": repr(str(HEXAPOD))}
 """Values that a test sets instead of those of a notebook."""
-SHOWS = {"walk": ["text/html", "image/png", "text/html"], "change_one_thing": ["text/html", "image/png"]}
+SHOWS = {
+    "walk": ["text/html", "image/png", "text/html"],
+    "change_one_thing": ["text/html", "image/png"],
+    "my_robot": ["image/png", "text/html"],
+}
 """Progress, figures and video that each displays, in order; repetitions left out."""
 
 

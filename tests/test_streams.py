@@ -5,13 +5,13 @@ from itertools import product
 from pathlib import Path
 
 import shes
-from shes.streams import EpisodePurpose, Purpose, episode_stream, stream
+from shes.streams import EpisodePurpose, Purpose, stream
 
 
 def test_every_purpose_and_key_has_its_own_stream():
     keys = [(), (0,), (1,), (0, 0), (0, 1), (1, 0)]
     runs = [stream(seed, purpose, *key) for seed, purpose, key in product((0, 1), Purpose, keys)]
-    episodes = [episode_stream(seed, purpose) for seed, purpose in product((0, 1), EpisodePurpose)]
+    episodes = [stream(seed, purpose) for seed, purpose in product((0, 1), EpisodePurpose)]
     for streams in (runs, episodes):
         assert len({each.integers(2**63).item() for each in streams}) == len(streams)
 

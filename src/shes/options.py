@@ -88,7 +88,14 @@ def with_options(sections: Mapping[str, type[Settings]]) -> dict[str, dict[str, 
                 f"{name!r} is an option of {each.registry.kind} {each.choice!r}, but already a setting of section "
                 f"{homes[name]!r}. Choose another name for the option."
             )
-        _check_same(firsts.setdefault(name, each), each)
+        first = firsts.setdefault(name, each)
+        one, other = ((it.registry.kind, it.setting.hint, it.setting.default) for it in (first, each))
+        if one != other:
+            raise ConfigError(
+                f"{name!r} is an option of {first.registry.kind} {first.choice!r} and a different one of "
+                f"{each.registry.kind} {each.choice!r}. Choose another name for one of them. Only classes of one kind "
+                "may share an option, of the same type, default and range."
+            )
         choices = needs.setdefault(name, {})
         choices[each.chooser] = (*choices.get(each.chooser, ()), each.choice)
     for name, each in firsts.items():
@@ -105,17 +112,6 @@ class _Option(NamedTuple):
     registry: Any
     choice: str
     setting: Setting
-
-
-def _check_same(one: _Option, other: _Option) -> None:
-    """Raise ConfigError if `other`, of the same name, is a different option."""
-    first, second = ((each.registry.kind, each.setting.hint, each.setting.default) for each in (one, other))
-    if first != second:
-        raise ConfigError(
-            f"{one.setting.name!r} is an option of {one.registry.kind} {one.choice!r} and a different one of "
-            f"{other.registry.kind} {other.choice!r}. Choose another name for one of them. Only classes of one kind "
-            "may share an option, of the same type, default and range."
-        )
 
 
 def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Option]:

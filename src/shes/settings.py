@@ -18,10 +18,11 @@ import inspect
 import json
 import linecache
 import math
+import operator
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from itertools import pairwise
 from operator import methodcaller
 from types import NoneType, UnionType
@@ -29,31 +30,83 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 
 import numpy as np
 
-from shes.annotations import (
-    Bound,
-    Choices,
-    Example,
-    Execution,
-    Ge,
-    Gt,
-    Le,
-    Lt,
-    Needs,
-    Shared,
-    Shown,
-    Unasked,
-)
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
-
-__all__ = [
-    "Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared", "Shown",
-    "Unasked", "checked", "flag", "out_of_range", "registered", "setting_fields",
-]  # fmt: skip
 
 NoteT = TypeVar("NoteT")
 F = TypeVar("F", bound=Callable[..., Any])
 _SENTENCE_END = r"\.(?:\s|$)"
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound of the value, or of each item of a tuple."""
+
+    words: str
+    allows: Callable[[Any, Any], bool]
+    """Whether a value, given first, keeps within the bound."""
+    bound: float
+
+
+Gt, Ge = partial(Bound, "greater than", operator.gt), partial(Bound, "of at least", operator.ge)
+Lt, Le = partial(Bound, "less than", operator.lt), partial(Bound, "at most", operator.le)
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """The value is one of these names. They are looked up at every check, because a registry may grow."""
+
+    names: Iterable[str]
+    fix: str = ""
+    """How to add a name, for the error message."""
+    is_described: bool = False
+    """Whether the help describes each class of the registry by the first sentence of its docstring."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """An example of the value, as written after the flag."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Execution:
+    """The setting decides how, where or for how long a run computes, and does not change its numbers.
+
+    Devices round differently; the record of a run says where its device changed.
+    """
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The setting may have the name of a setting of an earlier section. It is then one setting, with one value."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How the command line shows the setting."""
+
+    flag: str = ""
+    """Its flag, if that is not its name."""
+    everyday: bool = False
+    """Whether the short help of `shes train` shows it."""
+
+
+@dataclass(frozen=True)
+class Unasked:
+    """The program sets this field; it has no flag and is not recorded."""
+
+
+@dataclass(frozen=True)
+class Needs:
+    """The setting has no effect unless setting `other` has one of `values`, or is not None if there are no `values`.
+
+    Several of these annotations on one field are alternatives.
+    """
+
+    other: str
+    values: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -312,16 +365,15 @@ def checked(function: F) -> F:
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         given = signature.bind(*args, **kwargs)
-        for name, parameter in _parameters(function).items():
-            if name in given.arguments:
-                given.arguments[name] = parameter.checked(given.arguments[name])
+        for parameter in _parameters(function):
+            if parameter.name in given.arguments:
+                given.arguments[parameter.name] = parameter.checked(given.arguments[parameter.name])
         return function(*given.args, **given.kwargs)
 
     return call  # type: ignore[return-value] - of the same signature
 
 
 @cache
-def _parameters(function: Callable[..., Any]) -> dict[str, Setting]:
-    hints = get_type_hints(function, include_extras=True)
-    found = {name: described(name, hint, function) for name, hint in hints.items()}
-    return {name: parameter for name, parameter in found.items() if parameter.notes}
+def _parameters(function: Callable[..., Any]) -> list[Setting]:
+    every = (described(name, hint, function) for name, hint in get_type_hints(function, include_extras=True).items())
+    return [parameter for parameter in every if parameter.notes]

@@ -28,11 +28,6 @@ class Purpose(IntEnum):
     ARCHIVE = 11
 
 
-def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
-    """Return the generator of `(seed, purpose, *key)`. The key is a generation, then a level or a task."""
-    return _generator(seed, int(purpose), *key)
-
-
 class EpisodePurpose(IntEnum):
     """Purpose of a random stream of one episode. The values determine a run's numbers and must not be changed."""
 
@@ -42,9 +37,9 @@ class EpisodePurpose(IntEnum):
     WANDERING = 3
 
 
-def episode_stream(seed: int, purpose: EpisodePurpose) -> np.random.Generator:
-    """Return the generator of the episode with this seed."""
-    return _generator(seed, int(purpose))
+def stream(seed: int, purpose: Purpose | EpisodePurpose, *key: int) -> np.random.Generator:
+    """Return the generator of a run, whose `key` is a generation, then a level or a task, or of an episode."""
+    return _generator(seed, int(purpose), *key)
 
 
 def table_stream(seed: int, block: int) -> np.random.Generator:

@@ -133,9 +133,11 @@ def test_a_checkpoint_of_another_run_is_refused(untrained):
     path = untrained("td3", "point-maze")
     file = path / "checkpoints" / "last.npz"
     arrays = dict(np.load(file))
-    for name, fault in (("actor", "policy/actor is"), ("replay/older/reward", "of a replay buffer is")):
+    for name in ("actor", "replay/older/inputs"):
         np.savez(file, **{**arrays, f"policy/{name}": np.zeros((2, 2), np.float32)})
-        with pytest.raises(CheckpointError, match=rf"last\.npz (.|\n)*{fault} float32 of shape"):
+        with pytest.raises(
+            CheckpointError, match=rf"last\.npz holds policy/{name} as float32 of shape \(2, 2\), where"
+        ):
             open_run(path, "last")
 
 
@@ -274,10 +276,10 @@ def test_each_step_after_the_warm_up_has_its_update(tmp_path):
     pytest.importorskip("jax")
     settings = {"warmup_steps": 130, "generation_steps": 70, "update_interval": 5, "controller_update_interval": 10}
     table = read_csv(train(tmp_path / "run", generations=3, num_envs=4, **settings) / "progress.csv")
-    steps = np.array(table["env_steps"])
+    steps = table["env_steps"]
     assert steps.tolist() == [160, 240, 320]
-    assert table["primitive_updates"] == (steps - steps[0]).tolist()
-    assert table["controller_updates"] == ((steps - steps[0]) // 10).tolist()
+    assert table["primitive_updates"].tolist() == (steps - steps[0]).tolist()
+    assert table["controller_updates"].tolist() == ((steps - steps[0]) // 10).tolist()
 
 
 @needs_jax

@@ -130,7 +130,7 @@ def test_a_learner_draws_normalises_and_discounts(normalise_inputs):
     assert np.abs(drawn["inputs"]).max() == 5.0 if normalise_inputs else np.abs(drawn["inputs"]).max() > 5
     losses = [made.update({name: array[i] for name, array in drawn.items()}) for i in range(2)]
     after, means = learner.finish()
-    np.testing.assert_allclose(after.parameters.theta, flat(made.actor), atol=1e-4)
+    np.testing.assert_allclose(flat(after.learner["actor"]), flat(made.actor), atol=1e-4)
     assert means == pytest.approx(dict(zip(LOSSES, np.nanmean(losses, axis=0), strict=True)), rel=1e-4)
     assert (after.learner["num_updates"], after.replay.size) == (2, BATCH)
     assert after.statistics.count == (10 + BATCH if normalise_inputs else 0)
@@ -172,7 +172,7 @@ def test_a_learner_corrects_every_goal_by_the_primitive_of_now():
     primitive.learner = {**primitive.learner, "actor": now.learner["actor"]}
     drawn = learner.draw(2, np.random.default_rng(5))
 
-    again, theta = np.random.default_rng(5), now.parameters.theta[None]
+    again, theta = np.random.default_rng(5), flat(now.learner["actor"])[None]
     expected = learner.replay.sample(again, 16)
     choices = candidates(expected["goal"], expected["change"], upper.half_range, again)
     chosen = []

@@ -80,16 +80,7 @@ def test_it_is_restored_with_the_same_arrays_and_goes_on_alike(count):
         replay, restored = (each.append(transitions(100, 2)) for each in (replay, restored))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"older/reward": np.zeros(2, np.float32)}, r"inputs of a replay buffer is float32 of shape \(3, 2\)"),
-        ({"older/reward": np.zeros(3)}, "reward of a replay buffer is float64"),
-        ({"older/reward": np.full(3, np.nan, np.float32)}, "NaN or infinity"),
-        ({"end": np.array(2)}, "has 3, of 2 ever made"),
-    ],
-)
-def test_arrays_of_another_buffer_are_refused(change, message):
+def test_more_transitions_than_were_ever_made_are_refused():
     arrays = EMPTY.append(transitions(0, 3)).to_arrays()
-    with pytest.raises(ValueError, match=message):
-        EMPTY.from_arrays({**arrays, **change})
+    with pytest.raises(ValueError, match="has 3, of 2 ever made"):
+        EMPTY.from_arrays({**arrays, "end": np.array(2)})

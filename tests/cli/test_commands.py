@@ -31,6 +31,7 @@ TINY = runs.flags(**runs.TINY)
 def test_envs_lists_the_registry(shes):
     text, rows = shes("envs"), json.loads(shes("envs", "--json"))
     assert all(name in text for name in ENVIRONMENTS)
+    assert re.search(r"ant-push +│ push +│ +36 +│ +32 +│ +8 ", text)
     assert [row["name"] for row in rows] == [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS]
     push = {"name": "ant-push", "observation": {"shes": 36, "hiro": 32}, "action": 8}
     assert rows[2].items() >= {**push, "gymnasium": ["shes/AntPush-v0", "shes/AntPushHiro-v0"]}.items()

@@ -74,7 +74,7 @@ def test_nothing_is_shown_in_a_window_that_was_closed(opened):
 
 def test_without_a_screen_the_error_names_the_other_way(monkeypatch):
     monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: False))
-    for task in (make_task("point-gather", 1), SimpleNamespace(draws_itself=True)):
+    for task in (make_task("point-gather", 1), SimpleNamespace(robot=None)):
         with pytest.raises(ConfigError, match=r"no screen to open a window on.*shes render RUN --out walk.mp4"):
             open_window(task)
 

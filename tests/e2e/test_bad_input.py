@@ -166,8 +166,8 @@ def test_evaluate_names_its_flags_and_the_checkpoints_there_are(refused, run_cop
 
 @pytest.mark.parametrize("level", ["controller", "primitive"])
 def test_a_policy_that_returns_nan_ends_a_run_that_stays_intact(refused, run_copy, monkeypatch, level):
-    def damaged(arrays, start):
-        state = from_arrays(arrays, start)
+    def damaged(arrays):
+        state = from_arrays(arrays)
         next(own for own in state.levels if own.name == level).theta[-1] = np.nan
         return state
 

@@ -74,7 +74,7 @@ def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp
     assert parts == [(2, "warp-cpu"), (4, "cpu")]
     assert set(record["resumed"][0]["device"]) == {"name", "mujoco-warp", "warp-lang"}
     rows = read_csv(path / "progress.csv")
-    assert rows["generation"] == [1, 2, 3, 4, 5]
+    assert rows["generation"].tolist() == [1, 2, 3, 4, 5]
     assert all(np.isfinite(rows["controller_return_mean"]))
     assert RunFolder.open(path).load("last").generation == 5
 

@@ -54,6 +54,8 @@ def test_an_id_makes_the_environment_of_its_name(variant):
     for made in (gymnasium.make(variant.id).unwrapped, gymnasium.make_vec(variant.id, num_envs=2)):
         assert (type(made.task.body), made.task.name, made.task.options.spec) == (body, task, spec)
         assert made.observation_space.shape[-1] == made.task.observation_size == SIZES[name][spec == "hiro"]
+        fastest = made.observation_space.high[..., made.task.proprioception[-1]]
+        assert (fastest == (float("inf") if spec == "hiro" else 10)).all()
 
 
 def test_every_environment_has_its_id_in_both_specifications(monkeypatch):

@@ -103,7 +103,7 @@ def test_every_goal_is_turned_ahead_and_mirrored_to_the_left(group):
     assert np.abs(bearing).max() <= 45 + 1e-9
     assert bearing.min() >= -1e-9 if group.is_mirrored else bearing.min() < -22.5
     assert bearing.max() > 22.5
-    assert set(group.choose(*goals.T)) == set(range(group.num_elements))
+    assert set(group.choose(*goals.T)) == set(range(len(group.view_index)))
 
 
 @pytest.mark.parametrize("element", range(len(ELEMENTS)))

@@ -62,7 +62,7 @@ def test_a_run_is_an_ordinary_one_and_a_row(finished, tiny_run):
     means = [returns[0], returns[1], sum(returns[2:]) / 2]  # since the evaluation before
     assert [point["training_return_mean"] for point in summary.curve] == pytest.approx(means)
     assert row["seconds"] == progress["process_time_s"][-1]  # the time of a run in one process is the processor's
-    assert [point["seconds"] for point in summary.curve] == evaluation["process_time_s"]
+    assert [point["seconds"] for point in summary.curve] == evaluation["process_time_s"].tolist()
 
 
 def test_the_time_of_a_run_of_several_processes_is_the_walls(copy, finished, monkeypatch):

@@ -127,8 +127,8 @@ class Case:
         for member, played in found.items():
             mine = population.results.outcomes[member : member + len(played.outcomes), 0]
             assert np.array_equal(mine, played.outcomes)
-        for level, moments in enumerate(population.results.moments):
-            assert moments.count == sum(np.array(played.moments[level])[:, 0].sum() for played in found.values())
+        for level, statistics in enumerate(population.results.statistics):
+            assert statistics.count == sum(np.array(played.moments[level])[:, 0].sum() for played in found.values())
         return found
 
 

@@ -89,8 +89,8 @@ def test_a_run_of_one_level_is_evaluated_by_what_it_has(tmp_path, env, settings,
         np.testing.assert_allclose(found.primitive_returns, found.returns, rtol=1e-9)
     table = read_csv(path / "evaluation.csv")
     assert set(found.summary()) == set(table) - {"generation", "env_steps", "wall_time_s", "process_time_s"}
-    assert table["episode_steps_mean"] == [30]
-    assert read_csv(path / "progress.csv")["episode_steps_mean"] == [20]
+    assert table["episode_steps_mean"].tolist() == [30]
+    assert read_csv(path / "progress.csv")["episode_steps_mean"].tolist() == [20]
     assert found.controller is None
     assert "controller" not in found.listing().facts
     message = rf"controller is 'random', but .*run has no controller \(levels: {level}\), .*'trained' is allowed.*Omit"

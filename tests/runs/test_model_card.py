@@ -6,7 +6,7 @@ import pytest
 
 import shes
 from shes.cli import main
-from shes.runs import model_card
+from shes.runs import listings
 from shes.runs.shipped import read_agent
 
 
@@ -21,7 +21,7 @@ def test_the_card_of_a_shipped_agent_has_its_stored_scores(capsys):
 
 
 def test_the_card_of_a_run_has_scores_of_fresh_episodes(run_copy, monkeypatch, capsys):
-    monkeypatch.setattr(model_card, "EPISODES", 3)
+    monkeypatch.setattr(listings, "CARD_EPISODES", 3)
     (run_copy / "replay.mp4").touch()
     assert main(["info", str(run_copy), "--card"]) == 0
     text = capsys.readouterr().out

@@ -27,9 +27,8 @@ def test_numbers_read_back_bit_identically(tmp_path):
     table = CsvTable(tmp_path / "a.csv", 0)
     for generation, value in enumerate(VALUES, 1):
         table.add({"generation": generation, "x": value})
-    assert np.array(read_csv(tmp_path / "a.csv")["x"]).tobytes() == np.array(VALUES).tobytes()
-    with pytest.raises(RunFolderError, match=r"b\.csv cannot be read"):
-        read_csv(tmp_path / "b.csv")
+    assert read_csv(tmp_path / "a.csv")["x"].tobytes() == np.array(VALUES).tobytes()
+    assert read_csv(tmp_path / "b.csv") == {}
 
 
 def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
@@ -40,7 +39,8 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
     for length in range(len(longer) + 1):
         path.write_text(longer[:length])
         rows = range(9, 9 + max(0, longer[:length].count("\n") - 1))
-        assert read_csv(path) == ({"generation": [*rows], "x": [row / 3 for row in rows]} if rows else {})
+        found = {name: values.tolist() for name, values in read_csv(path).items()}
+        assert found == ({"generation": [*rows], "x": [row / 3 for row in rows]} if rows else {})
         reached = min(10, 8 + len(rows))
         assert fill(path, 10, first=reached + 1, keep=reached) == whole
 
@@ -150,9 +150,9 @@ def test_times_go_on_from_the_last_whole_row_with_evaluations(run_copy):
     progress.write_text("\n".join([*rows, ",".join(cells.values()), "5,12"]))  # the last row is cut off
     shes.resume(run_copy, generations=6)
     table, evaluations = read_csv(progress), read_csv(run_copy / "evaluation.csv")
-    assert table["generation"] == [1, 2, 3, 4, 5, 6]
+    assert table["generation"].tolist() == [1, 2, 3, 4, 5, 6]
     for name in ("wall_time_s", "process_time_s"):
-        assert table[name] == sorted(table[name])
+        assert (np.diff(table[name]) >= 0).all()
     assert table["wall_time_s"][4] > 7200
     assert [seconds > 0 for seconds in table["evaluation_s"]] == [True, True, False, True, False, True]
     assert evaluations["process_time_s"][0] > 0

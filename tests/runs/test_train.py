@@ -91,7 +91,7 @@ def test_a_row_has_steps_and_time_and_a_run_gives_warnings(tmp_path):
     shes.resume(path, generations=4, listener=listener)
     assert heard == [told] * 2
     assert told in runs.log_lines(path)
-    table = {name: np.array(values) for name, values in read_csv(path / "progress.csv").items()}
+    table = read_csv(path / "progress.csv")
     assert table["generation"].tolist() == [1, 2, 3, 4]
     assert table["env_steps"][-1] == runs.state(path).env_steps
     seconds = np.diff(table["env_steps"], prepend=0) / table["env_steps_per_s"]

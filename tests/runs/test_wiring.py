@@ -219,7 +219,7 @@ GROUPS: dict[str, Group] = {
             lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True),
     }, env="point-maze", common=SHORT),
     "ant": Group({
-        "symmetry": Row("rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4]),
+        "symmetry": Row("rotation", design(lambda d: d.symmetry and len(d.symmetry.view_index)), [4, 4]),
         "max_tilt": Row(60.0, batches(lambda b: b._min_cos_tilt and round(b._min_cos_tilt, 9)), [0.5, None]),
     }, env="ant-gather", common=BRIEF),
     "contacts": Group({

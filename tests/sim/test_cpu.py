@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from shes.envs.worlds import INTEGRATORS
 from shes.sim.simulator import CpuSimulator
-from tests.sim.ants import INTEGRATORS, ant_model
+from tests.sim.ants import ant_model
 
 
 @pytest.fixture

@@ -14,12 +14,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task import TaskOptions
+from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError
 from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
 from tests.contracts.variants import VARIANTS
-from tests.sim.ants import INTEGRATORS, ant_model
+from tests.sim.ants import ant_model
 
 pytestmark = [
     pytest.mark.extras,

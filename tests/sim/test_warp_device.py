@@ -3,7 +3,6 @@
 import os
 import sys
 import warnings
-from contextlib import nullcontext
 from importlib import metadata
 from types import SimpleNamespace
 
@@ -11,33 +10,11 @@ import numpy as np
 import pytest
 
 from shes.errors import ConfigError, MissingExtraError
-from shes.sim import warp_device
 from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
 
-VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
-NEEDS = {
-    "shes": ["mujoco~=4.0", 'mujoco-warp~=4.0; extra == "warp"', 'warp-lang>=1.19; extra == "warp"', "numpy>=2.0"],
-    "mujoco-warp": ["mujoco>=3.13.0", "warp-lang>=1.20", 'warp-lang>=9; extra == "dev"'],
-}
-
 
 @pytest.fixture
-def versions(monkeypatch):
-    """The installed versions, which tests change."""
-    installed = dict(VERSIONS)
-
-    def version(name):
-        if name not in installed:
-            raise metadata.PackageNotFoundError(name)
-        return installed[name]
-
-    monkeypatch.setattr(metadata, "version", version)
-    monkeypatch.setattr(metadata, "requires", NEEDS.get)
-    return installed
-
-
-@pytest.fixture
-def machine(monkeypatch, versions):
+def machine(monkeypatch):
     """A machine with a GPU: its Warp and its CuPy."""
     device = SimpleNamespace(name="Card 1", ordinal=0, stream=SimpleNamespace(cuda_stream=7))
     warp = SimpleNamespace(
@@ -59,11 +36,10 @@ def machine(monkeypatch, versions):
     cupy = SimpleNamespace(
         __version__="14.2.0", zeros=np.zeros, cuda=SimpleNamespace(Device=lambda _: stream, ExternalStream=deprecated)
     )
+    monkeypatch.setattr(metadata, "version", {"mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}.get)
     for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
         monkeypatch.setitem(sys.modules, name, module)
-    warp_device.start_warp.cache_clear()
-    yield SimpleNamespace(warp=warp, cupy=cupy)
-    warp_device.start_warp.cache_clear()
+    return SimpleNamespace(warp=warp, cupy=cupy)
 
 
 @pytest.mark.parametrize(
@@ -79,27 +55,11 @@ def test_a_missing_extra_is_named(machine, monkeypatch, module, message):
         WarpDevice("cuda")
 
 
-@pytest.mark.parametrize(
-    ("package", "version", "message"),
-    [
-        ("mujoco", "3.9.0", r"shes needs mujoco~=4\.0, got 3\.9\.0\. .*pip install 'shes\[gpu\]'"),
-        ("warp-lang", "1.10.0", r"shes needs warp-lang>=1\.19, got 1\.10\.0"),
-        ("warp-lang", "1.19.5", r"mujoco-warp needs warp-lang>=1\.20, got 1\.19\.5"),  # more than we need
-    ],
-)
-def test_versions_that_do_not_go_together_are_refused(machine, versions, package, version, message):
-    versions[package] = version
-    with pytest.raises(ConfigError, match=message):
-        load_warp()
-
-
-def test_a_version_before_its_release_counts_and_is_recorded(machine, versions):
-    versions["warp-lang"] = "1.21.0.dev20270101"
-    load_warp()
+def test_a_device_records_what_its_results_may_depend_on(machine):
     assert WarpDevice("cuda").facts == {
         "name": "cuda",
         "mujoco-warp": "4.0.1",
-        "warp-lang": "1.21.0.dev20270101",
+        "warp-lang": "1.20.0",
         "cupy": "14.2.0",
         "card": "Card 1",
         "driver": "CUDA 13.0",
@@ -115,15 +75,14 @@ def fails(text):
     return {"zeros": zeros}
 
 
-NO_DRIVER = b"Warp CUDA warning: Could not find the NVIDIA CUDA driver.\n"
 OLD_CUPY = "cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version"
 
 
 @pytest.mark.parametrize(
     ("warp", "cupy", "message"),
     [
-        ({"get_cuda_device_count": lambda: 0, "init": lambda: os.write(2, NO_DRIVER)}, {},
-         r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."),
+        ({"get_cuda_device_count": lambda: 0}, {},
+         r"needs an NVIDIA GPU .*Warp found none\. .*Use --device cpu\."),
         ({"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)}, {},
          r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the"),
         ({"get_cuda_driver_version": lambda: (12, 8)}, fails(OLD_CUPY),
@@ -153,15 +112,9 @@ def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
     assert is_out_of_memory(error) is expected
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_messages_of_warps_native_code_alone_are_kept(machine, capfd, fails):
-    def init():
-        os.write(2, NO_DRIVER + b"somebody else\n")
-        if fails:
-            raise RuntimeError("no")
-
-    machine.warp.init = init
-    with pytest.raises(RuntimeError, match="no") if fails else nullcontext():
-        load_warp()
+def test_what_warps_native_code_says_without_a_gpu_is_not_shown(machine, capfd):
+    warnings_left = [b"Warp CUDA warning: no driver\n"]  # Warp starts once
+    machine.warp.init = lambda: warnings_left and os.write(2, warnings_left.pop())
+    load_warp()
     os.write(2, b"after\n")
-    assert capfd.readouterr() == ("", "somebody else\nafter\n")
+    assert capfd.readouterr() == ("", "after\n")

@@ -6,7 +6,7 @@ import pytest
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback, input_words
-from shes.viewing.video import captioned
+from shes.viewing.render import captioned
 
 LONG = "/home/somebody/experiments/point-gather/transfer/published/seed-3"
 FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")

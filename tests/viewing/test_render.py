@@ -6,8 +6,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from shes.errors import ConfigError, StorageError
-from shes.viewing.render import render
-from shes.viewing.video import write_video
+from shes.viewing.render import render, write_video
 
 HELD_FRAMES = 14
 

@@ -26,16 +26,17 @@ class Page(HTMLParser):
 
     def __init__(self, path):
         super().__init__()
-        self.tags, self.texts, self.figures, self._is_data = [], [], {}, False
+        self.tags, self.texts, self.figures, self._figure = [], [], {}, None
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attributes):
         self.tags.append((tag, dict(attributes)))
-        self._is_data = dict(attributes).get("id") == "figures"
+        self._figure = dict(attributes).get("data-plot")
 
     def handle_data(self, data):
-        if self._is_data:
-            self.figures, self._is_data = json.loads(data), False
+        if self._figure:
+            assert "<" not in data  # which could end the script
+            self.figures[self._figure], self._figure = json.loads(data), None
         else:
             self.texts.append(data)
 
@@ -131,7 +132,7 @@ def test_nothing_in_the_files_of_a_run_becomes_part_of_the_page(kinds, tmp_path)
     given = [bad, kinds["first"]]  # called by their paths: they have the same seed
     page = Page(report(given, tmp_path / "report.html", episodes=1, **QUICK))
     assert "img" not in {tag for tag, _ in page.tags}
-    assert [tag for tag, _ in page.tags].count("script") == 3
+    assert [tag for tag, _ in page.tags].count("script") == 2 + len(page.figures)
     assert sum(BAD in text for text in page.texts) > 5
     figure = page.figures["Diagnostics point-gather"]
     assert escape(BAD) in {note["text"] for note in figure["layout"]["annotations"]}

@@ -19,7 +19,7 @@ from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.mlp import MLP
 from shes.backends.backend import Backend
 from shes.envs.episode_batch import EpisodeBatch
-from shes.errors import ShapeError
+from shes.errors import CheckpointError, ShapeError
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.rollout.worker import EpisodeSetup, WorkerPlan
@@ -298,3 +298,25 @@ class Algorithm(ABC, Generic[StateT]):
         assert self.table.path is not None
         setup = {each.name: getattr(self.problem, each.name) for each in fields(EpisodeSetup)}
         return WorkerPlan(**setup, design=self.design, noise_table=self.table.path)
+
+
+def check_arrays(arrays: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray]) -> None:
+    """Raise CheckpointError unless `arrays` are finite, and have the names, types and shapes of `expected`.
+
+    An axis that has the length 0 in `expected` may have any length.
+    """
+    faults = {"lacks": expected.keys() - arrays.keys(), "has": arrays.keys() - expected.keys()}
+    if any(faults.values()):
+        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
+        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
+    for name, array in arrays.items():
+        own = expected[name]
+        is_alike = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"  # texts may be longer
+        lengths = zip(array.shape, own.shape, strict=False)
+        if not is_alike or array.ndim != own.ndim or any(allowed not in {0, length} for length, allowed in lengths):
+            raise CheckpointError(
+                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
+                f"{own.shape}. Put back the checkpoint of this run."
+            )
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")

@@ -89,12 +89,7 @@ class Backend(ABC):
 
     @abstractmethod
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
-        """Yield the result of every task, in order.
-
-        Raises:
-            ShesError: A worker raised this error.
-            WorkerError: A worker raised another error, or workers keep dying.
-        """
+        """Yield the result of every task, in order; raise a worker's ShesError, or WorkerError for another failure."""
 
     @abstractmethod
     def close(self) -> None:

@@ -38,6 +38,11 @@ _WATCH_S = 0.5
 class ProcessesBackend(SupervisingBackend):
     """Worker processes on this machine, each with one thread. A lost or silent one is replaced."""
 
+    advice = (
+        "SIGKILL usually means that memory ran out: lower --workers or --chunk-size. Any other reason may be printed "
+        f"above. {SupervisingBackend.advice}"
+    )
+
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
         super().__init__(num_workers)
@@ -65,12 +70,6 @@ class ProcessesBackend(SupervisingBackend):
             if events & EVENT_WRITE:
                 key.data.flush()
         return [key.data for key, events in found if events & EVENT_READ]
-
-    def advice(self, ending: str) -> str:
-        """Return advice about processes that were killed, or that ended by themselves."""
-        if signal.SIGKILL.name in ending:
-            return "Usually memory ran out: lower --workers or --chunk-size."
-        return f"It may have printed the reason above. {super().advice(ending)}"
 
 
 class _WorkerProcess(RemoteWorker):

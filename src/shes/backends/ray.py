@@ -36,6 +36,8 @@ class RayBackend(SupervisingBackend):
     cluster that runs on this machine, or start one.
     """
 
+    advice = f"Ray's logs on the node say more: see `ray logs`. {SupervisingBackend.advice}"
+
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Join or start the cluster, and start at most `num_workers` workers; raise ConfigError if that fails."""
         super().__init__(1)
@@ -108,10 +110,6 @@ class RayBackend(SupervisingBackend):
             while True:
                 found.append(self.ready.get_nowait())
         return found
-
-    def advice(self, ending: str) -> str:
-        """Return where the reason is to be found."""
-        return f"Ray's logs on the node say more: see `ray logs`. {super().advice(ending)}"
 
 
 class _RayWorker(RemoteWorker):

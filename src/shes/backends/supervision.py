@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from textwrap import shorten
 from time import monotonic, sleep
-from typing import Any
+from typing import Any, ClassVar
 
 from shes.backends.backend import Backend
 from shes.errors import WorkerError
@@ -71,6 +71,8 @@ class SupervisingBackend(Backend):
 
     silence_limit_s: float | None = 600.0
     """Seconds without a sign of life after which a worker is replaced; None for never."""
+    advice: ClassVar[str] = "--backend serial does the same work in this process."
+    """Advice in the message about workers that keep dying."""
 
     def __init__(self, num_workers: int) -> None:
         """Begin without workers."""
@@ -90,10 +92,6 @@ class SupervisingBackend(Backend):
     @abstractmethod
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests; return the workers that have sent some, or are gone."""
-
-    def advice(self, ending: str) -> str:
-        """Return advice to the user about workers that keep ending in this way."""
-        return "--backend serial does the same work in this process."
 
     def look_around(self) -> None:
         """Do what is due between requests; called once a second while there are tasks."""
@@ -249,7 +247,7 @@ class SupervisingBackend(Backend):
         poison = next((number for number in lost if self._losses[number] >= MAX_LOSSES), None)
         if poison is not None or self._losses_in_a_row >= MAX_LOSSES * self._most_workers:
             when = "without a result" if poison is None else f"on {self._task_text(poison)}"
-            advice = "If a step takes so long, use --backend serial." if is_silent else self.advice(ending)
+            advice = "If a step takes so long, use --backend serial." if is_silent else self.advice
             kept = "Everything up to the last checkpoint is kept."
             raise WorkerError(f"workers keep dying {when}; the last one {ending}. {advice} {kept}")
         if counts:

@@ -30,7 +30,7 @@ from shes.settings import Settings
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 
-class HiroAgent(AgentBatch["HiroDesign"]):
+class _HiroAgent(AgentBatch["HiroDesign"]):
     """HIRO's agents, in P lanes of R episodes each.
 
     The goal is stored as the coordinates that it leads to, s_t + g_t. Subtracting the current coordinates is the goal
@@ -71,7 +71,7 @@ class HiroDesign(AgentDesign):
     of a goal, and adds no exploration noise.
     """
 
-    agent = HiroAgent
+    agent = _HiroAgent
     primitive_view: ColumnsView
     half_range: tuple[float, ...]
     """Largest goal in each coordinate [G], in metres and radians."""
@@ -88,7 +88,7 @@ class HiroDesign(AgentDesign):
         return {"controller_interval": self.controller_interval, "state_goals": goals}
 
 
-class HiroCollector(Collector):
+class _HiroCollector(Collector):
     """Collects the transitions of a controller and its primitive.
 
     The first goal of an episode is the controller's. The primitive's transition at the end of an interval leads to the
@@ -98,7 +98,6 @@ class HiroCollector(Collector):
     """
 
     def __init__(self, batch: EpisodeBatch, design: HiroDesign, *arguments: Any) -> None:
-        """Play with agents of `design`; see `Collector`."""
         super().__init__(batch, design, *arguments)
         self._design, self._interval = design, design.controller_interval
         self._columns = list(design.primitive_view.indices or ())
@@ -114,7 +113,6 @@ class HiroCollector(Collector):
         self._first, self._played = zeros("inputs", "goal"), zeros("moved", "view", "actions")
 
     def begin(self, rows: IntArray, seeds: Iterator[int], rng: np.random.Generator) -> None:
-        """Start new episodes in `rows`, with goals."""
         super().begin(rows, seeds, rng)
         self._coordinates = self._design.coordinates(self.observation, self.batch.position)
         self._intrinsic_return[rows] = 0
@@ -150,7 +148,6 @@ class HiroCollector(Collector):
         return {"controller": of_controller, "primitive": of_primitive}
 
     def returns(self) -> dict[str, F64Array]:
-        """Return the undiscounted returns of the episodes so far [N], by level."""
         return {"controller": self.batch.running_return, "primitive": self._intrinsic_return}
 
     def _decide(self, rows: IntArray, rng: np.random.Generator) -> None:
@@ -183,7 +180,7 @@ class HIRO(TD3):
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     sections: ClassVar[Mapping[str, type[Settings]]] = {**TD3.sections, "goals": GoalSettings}
-    collector: ClassVar[type[Collector]] = HiroCollector
+    collector: ClassVar[type[Collector]] = _HiroCollector
     design: HiroDesign
 
     def make_design(self, problem: Problem) -> HiroDesign:

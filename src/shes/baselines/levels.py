@@ -21,7 +21,6 @@ import numpy as np
 
 from shes.agents.mlp import MLP
 from shes.baselines.learner_settings import LearnerSettings
-from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.types import F32Array, F64Array
 
@@ -93,10 +92,7 @@ class Replay:
 
         The division depends on the number of transitions alone, so that it is the same after a resume.
         """
-        if not self.size:
-            nothing = {name: np.empty((0, *shape), np.float32) for name, shape in self.shapes.items()}
-            return nothing, nothing
-        ring = self._intact()
+        ring = self._intact() if self.size else _Ring(self.shapes, 1, 0)
         first = (self.end - self.size) % ring.length
         count = min(self.size, ring.length - first)
         blocks = slice(first, first + count), slice(self.size - count)
@@ -110,11 +106,8 @@ class Replay:
         return {"end": np.array(self.end), **rows}
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> Replay:
-        """Return the buffer that `to_arrays` converted; raise KeyError or ValueError unless the arrays fit this one."""
+        """Return the buffer that `to_arrays` converted; raise ValueError if they are more transitions than it holds."""
         blocks = [{name: arrays[f"{part}/{name}"] for name in self.shapes} for part in ("older", "newer")]
-        for block in blocks:
-            for name, shape in self.shapes.items():
-                _check_array(f"{name} of a replay buffer", block[name], np.float32, (len(block["reward"]), *shape))
         end, size = int(arrays["end"]), sum(len(block["reward"]) for block in blocks)
         if not size <= min(end, self.capacity):
             raise ValueError(f"a replay buffer of {self.capacity} transitions has {size}, of {end} ever made")
@@ -145,9 +138,7 @@ class Level:
     replay: Replay
     """Its buffer before the first transition."""
     update_interval: int = 1
-    """Environment steps after which the level learns again."""
-    updates: int = 1
-    """Number of updates then."""
+    """Environment steps after which the level learns again: the acting level as many times, the controller once."""
 
     def start(self, rng: np.random.Generator) -> LearnerState:
         """Return the state before the first transition. The action is an input of every hidden layer of a critic."""
@@ -162,12 +153,9 @@ class Level:
         return LearnerState(learner={**learner, "num_updates": 0}, statistics=statistics, replay=self.replay)
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> LearnerState:
-        """Return the state that `LearnerState.to_arrays` converted; raise KeyError or ValueError if it is not one."""
-        blank = self.start(np.random.default_rng(0))
-        for name, expected in blank.to_arrays().items():
-            if not name.startswith("replay/"):
-                _check_array(f"{self.name}/{name}", arrays[name], expected.dtype, expected.shape)
-        networks = {name: layers(arrays[name], like) for name, like in blank.learner.items() if name != "num_updates"}
+        """Return the state that `LearnerState.to_arrays` converted."""
+        like = self.start(np.random.default_rng(0)).learner
+        networks = {name: layers(arrays[name], own) for name, own in like.items() if name != "num_updates"}
         count, total, squares = (arrays[f"observation_{name}"] for name in ("count", "total", "total_squares"))
         return LearnerState(
             learner={**networks, "num_updates": int(arrays["num_updates"])},
@@ -186,19 +174,12 @@ class LearnerState:
     """Statistics of the inputs; empty if they are not normalised."""
     replay: Replay
 
-    @property
-    def parameters(self) -> LevelParameters:
-        """Parameters and normalisation of the actor, for an agent."""
-        return LevelParameters.of(flat(self.learner["actor"]), self.statistics)
-
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the state as arrays by name."""
         return {
             **{name: flat(network) for name, network in self.learner.items() if name != "num_updates"},
             "num_updates": np.array(self.learner["num_updates"]),
-            "observation_count": np.array(self.statistics.count),
-            "observation_total": self.statistics.total,
-            "observation_total_squares": self.statistics.total_squares,
+            **{f"observation_{name}": np.array(value) for name, value in vars(self.statistics).items()},
             **{f"replay/{name}": array for name, array in self.replay.to_arrays().items()},
         }
 
@@ -236,11 +217,3 @@ def _initial(shapes: Iterable[tuple[int, int]], rng: np.random.Generator) -> Net
     *hidden, (last_in, last_out) = shapes
     first = [(uniform(fan_in**-0.5, fan_in, fan_out), np.zeros(fan_out, np.float32)) for fan_in, fan_out in hidden]
     return (*first, (uniform(OUTPUT_RANGE, last_in, last_out), uniform(OUTPUT_RANGE, last_out)))
-
-
-def _check_array(name: str, array: np.ndarray, dtype: np.typing.DTypeLike, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless `array`, of a checkpoint, has this type and shape and only finite values."""
-    if array.dtype != dtype or array.shape != shape:
-        raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {np.dtype(dtype)} of shape {shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or infinity")

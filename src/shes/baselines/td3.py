@@ -20,11 +20,11 @@ import numpy as np
 
 from shes.agents.agent import AgentDesign, FlatDesign
 from shes.agents.mlp import RectifiedMLP
-from shes.algorithms.contract import Algorithm, Preset, Problem, Report
+from shes.algorithms.contract import Algorithm, Preset, Problem, Report, check_arrays
 from shes.backends.backend import Backend
 from shes.baselines.collector import Actor, Collector
 from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings
-from shes.baselines.levels import LearnerState, Level, Replay, within
+from shes.baselines.levels import LearnerState, Level, Replay, flat, within
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
@@ -82,7 +82,7 @@ class TD3(Algorithm[TD3State]):
         own, actions = self.settings, self.design.policies[-1].sizes[-1]
         limits = (self.design.control_limit,) * actions
         level = self.make_level(self.level_names[-1], limits, own.exploration_noise, action=(actions,))
-        return (replace(level, update_interval=own.update_interval, updates=own.update_interval),)
+        return (replace(level, update_interval=own.update_interval),)
 
     def make_level(self, name: str, half_range: tuple[float, ...], noise: float, **shapes: tuple[int, ...]) -> Level:
         """Return a level whose transitions have arrays of these `shapes` in addition to those of every level."""
@@ -170,7 +170,7 @@ class TD3(Algorithm[TD3State]):
         """Yield the level and the number of the updates that are due for the environment steps `before` to `now`."""
         for level in reversed(self.levels):
             for _ in range(now // level.update_interval - before // level.update_interval):
-                yield level.name, level.updates
+                yield level.name, level.update_interval if level is self.levels[-1] else 1
 
     def to_arrays(self, state: TD3State) -> dict[str, np.ndarray]:
         """Return `state` as named arrays. Those of the replay buffers are views."""
@@ -179,13 +179,15 @@ class TD3(Algorithm[TD3State]):
         return counts | {f"{name}/{key}": array for name, own in levels for key, array in own.to_arrays().items()}
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TD3State:
-        """Return the state that `to_arrays` converted."""
+        """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
+        blank = tuple(level.start(np.random.default_rng(0)) for level in self.levels)
+        check_arrays(arrays, self.to_arrays(TD3State(seed=0, generation=0, env_steps=0, learners=blank)))
         learners = tuple(level.from_arrays(within(level.name, arrays)) for level in self.levels)
         return TD3State(**{name: int(arrays[name]) for name in _COUNTS}, learners=learners)
 
     def parameters(self, state: TD3State) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the actors."""
-        return tuple(level.parameters for level in state.learners)
+        return tuple(LevelParameters.of(flat(level.learner["actor"]), level.statistics) for level in state.learners)
 
     def without_training(self, state: TD3State) -> TD3State:
         """Return `state` with empty replay buffers."""

@@ -176,10 +176,10 @@ class _RecordingSimulator(CpuSimulator):
         for i in ids.tolist():
             self._running.pop(i, None)
 
-    def advance(self, ids: IntArray, nstep: int) -> None:
+    def step(self, ids: IntArray, nstep: int) -> None:
         for i in ids.tolist():
             if i not in self._running:
                 self._running[i] = RecordedEpisode(self.states(np.array([i]))[0], [])
                 self.episodes.append(self._running[i])
             self._running[i].controls.append(self.ctrl[i].copy())
-        super().advance(ids, nstep)
+        super().step(ids, nstep)

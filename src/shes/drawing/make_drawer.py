@@ -140,7 +140,7 @@ def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
 
     A world of MuJoCo is drawn by MuJoCo's renderer or, without OpenGL, by the flat renderer.
     """
-    if batch.draws_itself:
+    if batch.robot is None:
         batch.draw_by("rgb_array")
         if not os.environ.get("MUJOCO_GL") and (found := find_opengl()):
             os.environ["MUJOCO_GL"] = found  # which Gymnasium's environments read

@@ -112,7 +112,7 @@ def open_window(batch: EpisodeBatch) -> Window:
             f"there is no screen to open a window on{where}. Make a video instead: shes render RUN --out walk.mp4, "
             'or render_mode="rgb_array".'
         )
-    if batch.draws_itself:
+    if batch.robot is None:
         batch.draw_by("human")
         return PassthroughWindow()
     return Viewer(batch.world_to_draw(), batch.step_s)

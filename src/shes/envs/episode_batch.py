@@ -71,14 +71,12 @@ class EpisodeBatch(ABC):
     """Whether the task sets the goals, so that a primitive can be trained without a controller."""
     has_places: ClassVar[bool] = False
     """Whether the task has a target, and `places` to search for a way to it."""
-    draws_itself: ClassVar[bool] = False
-    """Whether `pose` returns a picture drawn by the environment, not the qpos of `world_to_draw`."""
     ground_m: float = 0.0
     """Height of the ground at the robot's start, in metres times `scale`."""
     scale: float = 1.0
     """Metres that count as one in positions, goals, distances and rewards; see `Body.scale`."""
     robot: Body | None = None
-    """The robot; None in an external environment."""
+    """The robot; None in an external environment, which draws itself."""
     num_episodes: int
     """Number of episodes, N."""
     action_size: int
@@ -199,16 +197,16 @@ class EpisodeBatch(ABC):
         """
 
     def world_to_draw(self) -> mujoco.MjSpec:
-        """Return a new world to draw poses in, unless the environment `draws_itself`."""
+        """Return a new world to draw poses in, unless the environment draws itself."""
         raise NotImplementedError
 
     def draw_by(self, mode: str) -> None:
-        """Make an environment that `draws_itself` use render mode `mode` from the next reset on."""
+        """Make an environment that draws itself use render mode `mode` from the next reset on."""
         raise NotImplementedError
 
     @abstractmethod
     def pose(self, episode: int) -> Any:
-        """Return a copy of what a drawer or window needs to show episode `episode`: its qpos or a picture."""
+        """Return a copy of the qpos of episode `episode`, for `world_to_draw`, or the picture that it draws itself."""
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the markers to draw in episode `episode`."""

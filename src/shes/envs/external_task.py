@@ -53,7 +53,6 @@ class ExternalTask(EpisodeBatch):
     """
 
     Options = ExternalOptions
-    draws_itself = True
     control_limit = 1.0
     # The contract's read-only properties.
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
+
+import gymnasium
 
 from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.robot import Robot, RobotOptions
+from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.external_reader import Locate
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS, SPECS_OF, gymnasium_id, register_ids
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskOptions
 from shes.errors import ConfigError, ShesError, UnknownNameError
-from shes.options import check_options
-from shes.registry import Registry, check_class
+from shes.options import subclass_of
+from shes.registry import Registry
 from shes.settings import Settings
 from shes.sim.simulator import CpuSimulator
 from shes.types import Listing, Table, is_whole
-
-if TYPE_CHECKING:
-    import gymnasium
-
-    from shes.envs.external_reader import Locate
 
 GYMNASIUM = "gymnasium:"
 """Prefix of an environment name that is followed by a Gymnasium id."""
@@ -61,10 +60,8 @@ EnvironmentMaker: TypeAlias = Environment | ExternalEnvironment
 
 
 def _check_environment(_kind: str, environment: Environment) -> None:
-    check_class("body", environment.body, Body)
-    check_class("task", environment.task, Task, num_arguments=4)
-    check_options(environment.body)
-    check_options(environment.task)
+    subclass_of(Body)("body", environment.body)
+    subclass_of(Task, 4)("task", environment.task)
 
 
 ENVIRONMENTS: Registry[Environment] = Registry(
@@ -79,10 +76,7 @@ ENVIRONMENTS: Registry[Environment] = Registry(
 """Every environment that is a body and a task, by name."""
 
 
-ROBOT_ENVIRONMENTS: dict[str, Environment] = {
-    task.rpartition(":")[2].lower(): Environment(Robot, resolve_name(f"shes.envs.tasks.{task}"))
-    for _, task in BUILTIN_ENVIRONMENTS.values()
-}
+ROBOT_ENVIRONMENTS = {name.partition("-")[2]: Environment(Robot, each.task) for name, each in ENVIRONMENTS.items()}
 """The tasks by name, for a robot from a file, which the setting `robot` names."""
 
 
@@ -192,20 +186,15 @@ def find_environment(name: str) -> EnvironmentMaker:
     """Return environment `name`: registered, or `gymnasium:` and an id, which is not looked up yet."""
     if name.startswith(GYMNASIUM):
         return ExternalEnvironment(name=name, source=name.removeprefix(GYMNASIUM))
-    if name in EXTERNAL_ENVIRONMENTS:
-        return EXTERNAL_ENVIRONMENTS[name]
-    if name in ROBOT_ENVIRONMENTS:
-        return ROBOT_ENVIRONMENTS[name]
-    if name not in ENVIRONMENTS:
-        _refuse_id(name)
-        raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)
-    return ENVIRONMENTS[name]
+    for known in (EXTERNAL_ENVIRONMENTS, ROBOT_ENVIRONMENTS, ENVIRONMENTS):
+        if name in known:
+            return known[name]
+    _refuse_id(name)
+    raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)
 
 
 def _refuse_id(name: str) -> None:
     """Raise a ConfigError if `name` is a Gymnasium id, in any case, with or without its version."""
-    import gymnasium
-
     ids: dict[str, str] = {}
     for env_id in gymnasium.registry:  # the latest version comes last
         ids |= {env_id.casefold(): env_id, env_id.casefold().rpartition("-v")[0]: env_id}
@@ -245,12 +234,11 @@ def list_environments(
         options = RobotOptions(robot=robot, motors=motors, control_step=control_step, robot_keyframe=robot_keyframe)
         facts = Robot(options).describe()
         return Listing(facts, [f"{name}: {text}" for name, text in facts.items()])
-    rows = [_describe(name, environment) for name, environment in ENVIRONMENTS.items()]
-    rows += map(_describe_external, EXTERNAL_ENVIRONMENTS.values())
-    shown: list[tuple[str, ...]] = []
-    for row in rows:
-        sizes = [*row["observation"].values(), "", ""]
-        shown.append((row["name"], row["task"], str(sizes[0]), str(sizes[1]), str(row["action"] or "")))
+    rows = [_describe(*named) for named in (*ENVIRONMENTS.items(), *EXTERNAL_ENVIRONMENTS.items())]
+    shown = [
+        (row["name"], row["task"], *map(str, [*row["observation"].values(), "", ""][:2]), str(row["action"] or ""))
+        for row in rows
+    ]
     tasks = {(row["task"], row["score"]): (row["task"], row["reward"], row["ends"], row["score"]) for row in rows}
     parts = (
         Table(("environment", "task", "observation", "hiro", "action"), shown),
@@ -261,39 +249,27 @@ def list_environments(
     return Listing(rows, parts)
 
 
-def _describe(name: str, environment: Environment) -> dict[str, Any]:
-    task, text = environment.task, environment.task.description
-    sizes = {spec: make_task(name, 1, TaskOptions(spec=spec)) for spec in task.specs}
+def _describe(name: str, environment: EnvironmentMaker) -> dict[str, Any]:
+    """Return the description of an environment, without sizes if it is an external one that cannot be made."""
+    made: dict[str, EpisodeBatch] = {}
+    if isinstance(environment, Environment):
+        task, text = environment.task, environment.task.description
+        made |= {spec: environment.make(1, TaskOptions(spec=spec)) for spec in task.specs}
+        ids, words = [gymnasium_id(name, spec) for spec in task.specs], (task.name, text.reward, text.ends, text.score)
+        about = " ".join((task.__doc__ or "").split("\n\n", maxsplit=1)[0].split())
+    else:
+        ids = [environment.source if isinstance(environment.source, str) else "made by a function"]
+        words = ("external", "its own", "by its own rule", "success" if environment.is_scored_by_success else "return")
+        about = f"Gymnasium's {ids[0]}"
+        try:
+            made["external"] = environment.make(1)
+        except ShesError as error:
+            about = str(error)
     return {
         "name": name,
-        "task": task.name,
-        "gymnasium": [gymnasium_id(name, spec) for spec in task.specs],
-        "observation": {spec: each.observation_size for spec, each in sizes.items()},
-        "action": sizes[task.specs[0]].action_size,
-        "reward": text.reward,
-        "ends": text.ends,
-        "score": text.score,
-        "about": " ".join((task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
-    }
-
-
-def _describe_external(environment: ExternalEnvironment) -> dict[str, Any]:
-    """Return the description of an external environment, without dimensions if it cannot be made."""
-    env_id = environment.source if isinstance(environment.source, str) else "made by a function"
-    about, sizes, action = f"Gymnasium's {env_id}", {}, None
-    try:
-        task = environment.make(1)
-        sizes, action = {"external": task.observation_size}, task.action_size
-    except ShesError as error:
-        about = str(error)
-    return {
-        "name": environment.name,
-        "task": "external",
-        "gymnasium": [env_id],
-        "observation": sizes,
-        "action": action,
-        "reward": "its own",
-        "ends": "by its own rule",
-        "score": "success" if environment.is_scored_by_success else "return",
+        "gymnasium": ids,
+        "observation": {spec: each.observation_size for spec, each in made.items()},
+        "action": next((each.action_size for each in made.values()), None),
+        **dict(zip(("task", "reward", "ends", "score"), words, strict=True)),
         "about": about,
     }

@@ -75,7 +75,7 @@ def evolve(
         for level, rule, learns, (source, i) in levels:  # each level has its own fitness
             results, signs, noise_index = source.results, source.signs[:, :, i], source.noise_index[i]
             if learns:
-                level = replace(level, statistics=results.observed(i, level.statistics))  # noqa: PLW2901
+                level = replace(level, statistics=level.statistics.merge(**vars(results.statistics[i])))  # noqa: PLW2901
             fitness = rule.shape(results.fitness[i], signs, results.has_fallen.mean(axis=1))
             # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
             updates.append(update_level(level, fitness, signs, noise_index, table, rule, source.learning_rate, pool))

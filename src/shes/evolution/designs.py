@@ -134,9 +134,7 @@ def _primitive_view(settings: Any, task: EpisodeBatch) -> View:
     return _view(settings, task, "primitive_view", choice)
 
 
-class PrimitiveTransfer(LevelTransfer):
-    """The transfer of a primitive."""
-
+class _PrimitiveTransfer(LevelTransfer):
     name = "primitive"
     trained_by = "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception"
     advice = (
@@ -145,7 +143,6 @@ class PrimitiveTransfer(LevelTransfer):
     )
 
     def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the settings of the primitive's inputs and layers."""
         view = source.hierarchy.primitive_view
         is_plain = is_alone(source) and view == "observation"
         return {
@@ -155,7 +152,6 @@ class PrimitiveTransfer(LevelTransfer):
         }
 
     def interface(self, problem: Problem) -> str:
-        """Return the inputs and outputs of the primitive in words."""
         task, settings = problem.sample(), problem.settings
         encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
         features = [f"goal {encoding} {i}" for i in range(make(GOAL_ENCODINGS, encoding, settings.values).size)]
@@ -169,28 +165,24 @@ class PrimitiveTransfer(LevelTransfer):
         )
 
 
-class ControllerTransfer(LevelTransfer):
-    """The transfer of a controller."""
-
+class _ControllerTransfer(LevelTransfer):
     name = "controller"
     trained_by = "shes train ant-gather, or another run of two levels"
     advice = "Name a controller of the same task, trained with the same --spec."
     suggested = ("controller_interval", "goal_distance", "minimum_goal_distance")
 
     def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the settings of the controller's inputs, outputs and layers."""
         names = ("controller_network", "controller_output", "controller_view", "hidden")
         return {name: source.values[name] for name in names}
 
     def interface(self, problem: Problem) -> str:
-        """Return the inputs and outputs of the controller in words."""
         task, settings = problem.sample(), problem.settings
         inputs = _controller_view(settings, task).names(task.observation_names)
         spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
         return f"{len(inputs)} inputs ({', '.join(inputs)}) of {spec}"
 
 
-PRIMITIVE_TRANSFER: Mapping[str, LevelTransfer] = {"primitive": PrimitiveTransfer()}
+PRIMITIVE_TRANSFER: Mapping[str, LevelTransfer] = {"primitive": _PrimitiveTransfer()}
 """The transfer to a primitive alone."""
-SHES_TRANSFERS: Mapping[str, LevelTransfer] = {**PRIMITIVE_TRANSFER, "controller": ControllerTransfer()}
+SHES_TRANSFERS: Mapping[str, LevelTransfer] = {**PRIMITIVE_TRANSFER, "controller": _ControllerTransfer()}
 """The transfers to a controller and its primitive."""

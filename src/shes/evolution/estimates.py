@@ -181,7 +181,7 @@ def draw_episodes(
         has_frozen_control=not settings.by_episodes[-1],
         snapshot_goals=0 if settings.intervals is None else settings.intervals.intervals,
         decisions="wander" if is_searching else None,
-        way=None if archive is None else archive.waypoints,
+        way=archive.way[1:] if archive is not None and archive.way_steps else None,
     )
     return Draws(
         levels=tuple(range(len(levels))),

@@ -148,16 +148,15 @@ SHES_SECTIONS: Mapping[str, type[Settings]] = {
     "transfer": TransferSettings,
 }
 """Settings of a controller and its primitive."""
+SES_SECTIONS: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "networks": NetworkSettings}
+"""Settings of one policy without goals."""
 PRIMITIVE_SECTIONS: Mapping[str, type[Settings]] = {
-    "evolution": EvolutionSettings,
-    "networks": NetworkSettings,
+    **SES_SECTIONS,
     "hierarchy": PrimitiveSettings,
     "estimate": PrimitiveEstimateSettings,
     "transfer": PrimitiveTransferSettings,
 }
 """Settings of a primitive alone."""
-SES_SECTIONS: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "networks": NetworkSettings}
-"""Settings of one policy without goals."""
 
 SES_PRESETS: Mapping[str, Preset] = {
     # Table I exactly; what it leaves open is as in the authors' code.

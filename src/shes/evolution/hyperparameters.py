@@ -126,10 +126,6 @@ def _update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     return tuple(replace(rule, **of_primitive) if name == "primitive" else rule for name in settings.level_names)
 
 
-_OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
-"""Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
-
-
 def check_together(settings: Any) -> None:
     """Raise ConfigError for values that do not go together."""
     if is_alone(settings) and learns(settings) == (False,):
@@ -234,7 +230,8 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
         useless = [name for name in setting_fields(type(settings.estimate)) if name != "primitive_estimate"]
         why, fix = "on a frozen primitive", "--no-freeze-primitive"
     elif is_branched(settings) and is_alone(settings):
-        useless, fix = list(_OF_EPISODES), "--primitive-estimate episode"
+        useless = ["common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction"]
+        fix = "--primitive-estimate episode"
         why = "on a primitive that is evaluated by intervals: it applies to whole episodes only"
     if found := [name for name in useless if name in asked]:
         name, *_ = found

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from shes.errors import CheckpointError
 from shes.es.level import LevelState, StrategyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
@@ -45,7 +44,7 @@ class Archive:
     positions: F64Array
     """Robot's position at each node [N, X] in metres."""
     way: F64Array
-    """Positions [W, X] from the reset to the first success; empty until a way is known."""
+    """Positions [W, X] at the decisions from the reset to the first success; empty until a way is known."""
     way_steps: int = 0
     """Control steps of the way; 0 until one is known."""
     stalled: int = 0
@@ -90,22 +89,13 @@ class Archive:
         weights = np.where(self.steps <= max(last_step, 0), 1 / np.sqrt(1 + self.chosen), 0.0)
         return rng.choice(len(weights), number, p=weights / weights.sum())
 
-    def grown(self, parents: IntArray, positions: F64Array) -> Archive:
-        """Return the archive with more nodes."""
-        parents, positions = np.concatenate([self.parents, parents]), np.concatenate([self.positions, positions])
-        return replace(self, parents=parents, positions=positions)
-
     def entered(
         self, cells: IntArray, states: F64Array, steps: IntArray, nodes: IntArray, *, is_success: BoolArray
     ) -> Archive:
         """Return the archive with places where walkers are: new cells, cells reached in fewer steps, and the way.
 
-        Args:
-            cells: Cells [M, K].
-            states: Physics states [M, S].
-            steps: Control steps since the reset [M].
-            nodes: Nodes [M].
-            is_success: Whether the task is solved there [M].
+        Of each of M walkers, the `cells` [M, K], physics `states` [M, S], control `steps` since the reset, `nodes`, and
+        whether the task is solved there are given.
         """
         found, cell = np.unique(np.concatenate([self.cells, cells]), axis=0, return_inverse=True)
         cell, all_steps = cell.reshape(-1), np.concatenate([self.steps, steps])
@@ -156,14 +146,6 @@ class Archive:
         }
         return [line for line, has_happened in news.items() if has_happened]
 
-    @property
-    def waypoints(self) -> F64Array | None:
-        """The way [points, X] without its start, in metres; None until one is known.
-
-        Every decision is a point: a line between distant points may lead through a wall.
-        """
-        return self.way[1:] if len(self.way) else None
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrainState(StrategyState):
@@ -179,8 +161,7 @@ class TrainState(StrategyState):
 
 _COUNTS = ("seed", "generation", "env_steps")
 _RUNNING: dict[str, np.ndarray] = {"running/states": np.zeros((0, 0)), "running/steps": np.zeros(0, np.int64)}
-"""Arrays of episodes that continue, of the right type and number of axes. They are missing before the first generation.
-"""
+"""Arrays of no episodes that continue. They are missing before the first generation."""
 _ARCHIVE = {f"archive/{field.name}": field.name for field in fields(Archive)}
 """Arrays of the search for a way, which grow."""
 
@@ -194,9 +175,7 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
             f"{level.name}/theta": level.theta,
             f"{level.name}/optimizer_steps": np.int64(level.optimizer.steps),
             **{f"{level.name}/optimizer_{slot}": values for slot, values in level.optimizer.slots.items()},
-            f"{level.name}/observation_count": np.int64(level.statistics.count),
-            f"{level.name}/observation_total": level.statistics.total,
-            f"{level.name}/observation_total_squares": level.statistics.total_squares,
+            **{f"{level.name}/observation_{name}": value for name, value in vars(level.statistics).items()},
         }
     if state.archive is not None:
         arrays |= {name: getattr(state.archive, field) for name, field in _ARCHIVE.items()}
@@ -208,9 +187,8 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in arrays.items()}
 
 
-def from_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> TrainState:
-    """Return the state that `to_arrays` converted; raise CheckpointError unless it fits the run begun by `start`."""
-    _check_arrays(arrays, start)
+def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
+    """Return the state that `to_arrays` converted."""
     running = archive = None
     if "archive/cells" in arrays:
         found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
@@ -232,21 +210,8 @@ def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
     return LevelState(name=name, theta=theta, optimizer=optimizer, statistics=statistics)
 
 
-def _check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
-    """Raise CheckpointError unless `arrays` can be a later state of the run begun by `start`."""
-    expected = to_arrays(start) | (_RUNNING if arrays.keys() & _RUNNING.keys() else {})
-    faults = {"lacks": expected.keys() - arrays.keys(), "has": arrays.keys() - expected.keys()}
-    if any(faults.values()):
-        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
-        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
-    for name, array in arrays.items():
-        own = expected[name]
-        fits = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"  # texts may be longer
-        is_growing = name in _ARCHIVE or name in _RUNNING
-        if not fits or (array.ndim != own.ndim if is_growing else array.shape != own.shape):
-            raise CheckpointError(
-                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
-                f"{own.shape}. Put back the checkpoint of this run."
-            )
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
+def arrays_like(arrays: Mapping[str, np.ndarray], start: TrainState) -> dict[str, np.ndarray]:
+    """Return what `arrays` of a run begun by `start` have to be like; see `check_arrays`."""
+    first = to_arrays(start)
+    growing = {name: first[name][:0] for name in _ARCHIVE.keys() & first.keys() if first[name].ndim}
+    return first | growing | (_RUNNING if arrays.keys() & _RUNNING.keys() else {})

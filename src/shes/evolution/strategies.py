@@ -13,22 +13,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.agents.agent import AgentDesign
-from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report
+from shes.algorithms.contract import Algorithm, Explored, LevelTransfer, Preset, Problem, Report, check_arrays
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters, LevelState, LevelUpdate, select_fitness
+from shes.evolution import hyperparameters
 from shes.evolution.algorithm import GenerationReport, evolve
 from shes.evolution.designs import PRIMITIVE_TRANSFER, SHES_TRANSFERS, branch_design, flat_design, goal_design
 from shes.evolution.estimates import Population
 from shes.evolution.evolution_settings import PRIMITIVE_SECTIONS, SES_PRESETS, SES_SECTIONS, SHES_PRESETS, SHES_SECTIONS
-from shes.evolution.hyperparameters import (
-    check_effects,
-    check_together,
-    make_hyperparameters,
-    population,
-    steps_per_generation,
-    warnings,
-)
-from shes.evolution.state import TrainState, from_arrays, to_arrays
+from shes.evolution.state import TrainState, arrays_like, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
@@ -43,16 +36,16 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     make_design: ClassVar[Callable[[Problem], AgentDesign]]
     """Returns the design of its agents."""
 
-    check = staticmethod(check_together)
-    check_effects = staticmethod(check_effects)
-    steps_per_generation = staticmethod(steps_per_generation)
-    population = staticmethod(population)
-    warnings = staticmethod(warnings)
+    check = staticmethod(hyperparameters.check_together)
+    check_effects = staticmethod(hyperparameters.check_effects)
+    steps_per_generation = staticmethod(hyperparameters.steps_per_generation)
+    population = staticmethod(hyperparameters.population)
+    warnings = staticmethod(hyperparameters.warnings)
 
     def __init__(self, problem: Problem) -> None:
         """Create design and hyperparameters; raise ConfigError if the settings do not fit the environment."""
         super().__init__(problem, type(self).make_design(problem))
-        self.hyperparameters = make_hyperparameters(problem)
+        self.hyperparameters = hyperparameters.make_hyperparameters(problem)
 
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""
@@ -68,13 +61,11 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Yield a report after every generation from `state` on, indefinitely."""
         table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MAX_THREADS)
         with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
-            before = state.archive
             for report in evolve(state, self.hyperparameters, table, backend, pool):
-                archive = report.state.archive
+                before, archive, state = state.archive, report.state.archive, report.state
                 log = [line for each in report.populations for line in each.results.log]
                 if archive is not None and before is not None:
                     log += archive.news(before)
-                before = archive
                 yield Report(state=report.state, columns=columns(report), log=log)
 
     def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:
@@ -83,7 +74,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
         """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
-        return from_arrays(arrays, self.start(0))
+        check_arrays(arrays, arrays_like(arrays, self.start(0)))
+        return from_arrays(arrays)
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the mean policies."""

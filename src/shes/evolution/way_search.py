@@ -121,7 +121,9 @@ def _walk(
         states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
         places, positions, is_upright, is_success = search.decode(states)
         progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())
-        archive, nodes = archive.grown(nodes, positions), len(archive.parents) + np.arange(len(walkers))
+        parents, positions = np.concatenate([archive.parents, nodes]), np.concatenate([archive.positions, positions])
+        nodes = len(archive.parents) + np.arange(len(walkers))
+        archive = replace(archive, parents=parents, positions=positions)
         archive = archive.entered(
             places[is_upright], states[is_upright], steps[is_upright], nodes[is_upright],
             is_success=is_success[is_upright],

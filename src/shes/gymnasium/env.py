@@ -69,8 +69,7 @@ class TaskAdapter:
 
     def reset(self, ids: IntArray, seeds: Sequence[int | np.random.Generator]) -> None:
         """Start new episodes in rows `ids`, each from its seed or from one that a generator draws."""
-        drawn = [int(it.integers(0, 2**63)) if isinstance(it, np.random.Generator) else it for it in seeds]
-        self.task.reset(ids, drawn)
+        self.task.reset(ids, [int(it.integers(2**63)) if isinstance(it, np.random.Generator) else it for it in seeds])
         self._show(is_new_episode=True)
 
     def step(self, ids: IntArray, actions: ArrayLike) -> None:

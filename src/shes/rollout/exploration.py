@@ -12,7 +12,7 @@ import numpy as np
 
 from shes.agents.agent import AgentBatch
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation, wander
-from shes.streams import EpisodePurpose, episode_stream
+from shes.streams import EpisodePurpose, stream
 from shes.types import F32Array, F64Array
 
 EXPLORATION_STD = 0.01
@@ -30,25 +30,21 @@ class Exploration:
             np.zeros((steps, agent.num_lanes, agent.rows_per_lane, size), np.float32) for steps, size in shapes
         ]
         self._decision_noise, self._control_noise = self._drawn  # on a device, copies
-        self.is_on = False
-        """Whether anything is added in this generation."""
-        self._decisions: Decisions | None = None
-        self._has_control_noise = False
 
     def begin(self, generation: Generation) -> None:
         """Start a generation. Evaluations and branches have no exploration noise."""
         explores = generation.kind == "training"
-        self._decisions = generation.decisions
-        self.is_on = explores or self._decisions is not None
+        self._decisions: Decisions | None = generation.decisions
+        self._is_on = explores or self._decisions is not None
         self._has_control_noise = explores and not generation.has_frozen_control
 
     def draw(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
         """Draw the noise, and decisions if they are given, of tasks that have `started`, by lane, from their seeds."""
-        if not self.is_on:
+        if not self._is_on:
             return
         for lane, (_, task) in started.items():
             for slot, seed in zip(task.slots, task.seeds, strict=True):
-                rng = episode_stream(seed, EpisodePurpose.EXPLORATION_NOISE)
+                rng = stream(seed, EpisodePurpose.EXPLORATION_NOISE)
                 for noise in self._drawn:
                     drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
                     np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
@@ -62,16 +58,16 @@ class Exploration:
         if decisions == "zero":
             return np.zeros((count, design.decision_size))
         if decisions == "random":
-            angles = episode_stream(seed, EpisodePurpose.RANDOM_GOALS).uniform(0, 2 * np.pi, count)
+            angles = stream(seed, EpisodePurpose.RANDOM_GOALS).uniform(0, 2 * np.pi, count)
         elif decisions == "wander":
-            angles = wander(episode_stream(seed, EpisodePurpose.WANDERING), count, 1)[:, 0]
+            angles = wander(stream(seed, EpisodePurpose.WANDERING), count, 1)[:, 0]
         else:
             angles = np.full(count, decisions)
         return design.direction_outputs(angles)
 
     def of_step(self) -> dict[str, F32Array]:
         """Return the noise of this step by argument of `act`; empty if the noise is off."""
-        if not self.is_on:
+        if not self._is_on:
             return {}
         design, steps = self._agent.design, np.minimum(self._agent.clock, self._horizon - 1)
         # All lanes are usually at the same step. The noise is a view then.

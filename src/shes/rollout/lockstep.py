@@ -37,7 +37,7 @@ class SnapshotRecorder:
         self._batch, self._agent, self._num_goals = batch, agent, num_goals
         self._interval = agent.design.controller_interval
         rows = batch.num_episodes
-        self._wanted: IntArray = np.full(rows, -1)  # steps after which to record each row; -1 for never
+        self._wanted: IntArray = np.full(rows, -1)  # steps after which to record each row
         self._recorded: IntArray = np.zeros(rows, dtype=np.int64)  # goals recorded so far
         self._goals: F64Array = np.zeros((rows, num_goals, 2))
         self._states: dict[int, F64Array] = {}
@@ -45,8 +45,7 @@ class SnapshotRecorder:
     def begin(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
         """Store when to record the episodes of tasks that have `started`, by lane."""
         for lane, (_, task) in started.items():
-            wanted = task.snapshot_steps or (-1,) * len(task.slots)
-            for slot, steps in zip(task.slots, wanted, strict=True):
+            for slot, steps in zip(task.slots, task.snapshot_steps, strict=True):
                 row = lane * self._agent.rows_per_lane + slot
                 self._wanted[row], self._recorded[row] = steps, 0
 
@@ -118,15 +117,12 @@ class Rollout:
         self.batch = make_batch(num_lanes * rows_per_lane)
         self.xp = self.batch.xp
         self.agent = design.agent(design, num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
-        self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * rows_per_lane
         self._exploration = Exploration(self.agent, horizon, self.batch.action_size)
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
-        self._running: IntArray = np.zeros(0, dtype=np.int64)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
         self._intrinsic_return: F64Array = self.xp.zeros(rows)
         self._seconds: F64Array = np.zeros(len(PARTS))
-        self._recorder: SnapshotRecorder | None = None
 
     def run(
         self,
@@ -145,9 +141,9 @@ class Rollout:
         num_goals = generation.snapshot_goals
         self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
         self.agent.centre_on(generation.levels)
-        self._lanes = [None] * self.num_lanes
+        self._lanes: list[_Lane | None] = [None] * self.num_lanes
         self._is_running[:] = False
-        self._running = np.flatnonzero(self._is_running)
+        self._running: IntArray = np.flatnonzero(self._is_running)
         means = [self.xp.asarray(level.theta) for level in generation.levels]
         while True:
             free = [place for place, lane in enumerate(self._lanes) if lane is None]
@@ -250,11 +246,10 @@ class Rollout:
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
                 policy.pool(mine.total[k], mine.total_squares[k])
-            if lane.task.kept_slot == slot:
-                has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
-                if not has_ended_early:
-                    steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
-                    results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
+            has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
+            if lane.task.kept_slot == slot and not has_ended_early:
+                steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
+                results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
             if self._recorder is not None:
                 results.snapshots[k] = self._recorder.of(row)
             lane.running.discard(k)
@@ -299,15 +294,14 @@ class Rollout:
         return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:
-        """Raise PolicyError for the member whose policy returned NaN or infinity."""
-        rows = np.flatnonzero(~np.isfinite(to_host(action)).all(axis=1))
-        for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows last
-            lane = self._lanes[row // self.rows_per_lane]
-            if lane is None:
-                continue
+        """Raise PolicyError for a member whose policy returned NaN or infinity, unless its episode has ended."""
+        rows = np.flatnonzero(self._is_running & ~np.isfinite(to_host(action)).all(axis=1))
+        for row in rows.tolist():
             place, slot = divmod(row, self.rows_per_lane)
-            seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
+            lane = self._lanes[place]
+            assert lane is not None
             levels = zip(self.design.networks, self.agent.levels, strict=True)
+            seed = lane.task.seeds[lane.task.slots.index(slot)]
             which = " and ".join(name for name, level in levels if not level.is_finite(place))
             member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
             raise PolicyError(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.backends.backend import Backend
-from shes.es.statistics import Moments, ObservationStatistics
+from shes.es.statistics import ObservationStatistics
 from shes.rollout.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
 from shes.types import BoolArray, F64Array
 
@@ -25,7 +25,7 @@ def roll_out_tasks(tasks: Sequence[EpisodeTask], generation: Generation, backend
     members = 1 + max(task.member + max(task.slots) // episodes for task in tasks)
     results = PopulationResults(
         outcomes=empty_outcomes(len(generation.levels), members, episodes),
-        moments=[Moments.zeros(1, len(level.mean)) for level in generation.levels],
+        statistics=[ObservationStatistics.empty(len(level.mean)) for level in generation.levels],
     )
     parts = divide(tasks, backend.num_workers)
     for part, result in zip(parts, backend.map(parts), strict=True):
@@ -67,8 +67,8 @@ class PopulationResults:
 
     outcomes: Outcomes
     """Outcome of each episode [n, E]; final positions are [n, E, 2]."""
-    moments: list[Moments] = field(default_factory=list)
-    """Moments of each level, summed over episodes (K = 1)."""
+    statistics: list[ObservationStatistics] = field(default_factory=list)
+    """Statistics of each level's observations in these episodes."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds spent on each of `PARTS`, summed over workers."""
     log: list[str] = field(default_factory=list)
@@ -95,7 +95,7 @@ class PopulationResults:
         return np.stack(returns).mean(axis=2)
 
     def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
-        """Add the result of `task`. The order of the calls affects the rounding of the moments."""
+        """Add the result of `task`. The order of the calls affects the rounding of the statistics."""
         episodes = self.outcomes.shape[1]
         place = np.divmod(task.member * episodes + np.array(task.slots), episodes)
         self.outcomes[place] = result.outcomes
@@ -104,13 +104,6 @@ class PopulationResults:
         for member, episode, snapshot in zip(*place, result.snapshots, strict=False):
             if snapshot is not None:
                 self.snapshots[int(member), int(episode)] = snapshot
-        for mine, new in zip(self.moments, result.moments or (), strict=False):
-            mine.count[0] += new.count.sum()
-            for k in range(len(new.count)):
-                mine.total[0] += new.total[k]
-                mine.total_squares[0] += new.total_squares[k]
-
-    def observed(self, level: int, before: ObservationStatistics) -> ObservationStatistics:
-        """Return the statistics of the level at this place with the observations of these episodes."""
-        moments = self.moments[level]
-        return before.merge(int(moments.count[0]), moments.total[0], moments.total_squares[0])
+        for level, new in enumerate(result.moments or ()):
+            for count, *sums in zip(new.count.tolist(), new.total, new.total_squares, strict=True):
+                self.statistics[level] = self.statistics[level].merge(count, *sums)

@@ -128,9 +128,7 @@ class RolloutWorker:
         """Run `tasks`, of which about `share` tasks are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
-
-        Raises:
-            ConfigError: A device has too few contact buffers, or too little memory for a single policy.
+        ConfigError is raised if its contact buffers are too few, or its memory too small for a single policy.
         """
         pending: dict[int, EpisodeTask] = {}
         with self._collector.listening():

@@ -55,20 +55,19 @@ class Checkpoint:
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool = False) -> None:
     """Write `checkpoint` to `path`, atomically; a StorageError leaves an earlier file at `path` unchanged."""
     best = checkpoint.best
-    own = {
-        "format": np.int64(FORMAT),
-        "best_generation": np.int64(best.generation),
-        "best_score": np.float64(best.score),
-        "best_return": np.float64(best.mean_return),
-        "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
+    own: dict[str, Any] = {
+        "format": FORMAT,
+        "best_generation": best.generation,
+        "best_score": best.score,
+        "best_return": best.mean_return,
+        "settings": json.dumps(checkpoint.numbers, sort_keys=True),
     }
     if taken := sorted(own.keys() & checkpoint.arrays.keys()):
         raise ConfigError(
             f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint reserves. "
             "Choose another name."
         )
-    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
-    save = np.savez_compressed if is_compressed else np.savez
+    arrays, save = {**own, **checkpoint.arrays}, np.savez_compressed if is_compressed else np.savez
     write_atomically(path, lambda file: save(file, allow_pickle=False, **arrays))
 
 

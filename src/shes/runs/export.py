@@ -73,6 +73,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
     """Return all of an agent but its networks, as JSON types."""
     design, settings = run.algorithm.design, run.config.values
     task, clock = run.algorithm.problem.sample(), design.clock
+    control_map = None if task.robot is None else task.robot.control_map
     found: dict[str, Any] = {
         "format": _FORMAT,
         "shes": version("shes"),
@@ -86,7 +87,8 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         "input_clip": design.input_clip if np.isfinite(design.input_clip) else None,
         "control_limit": design.control_limit,
         "scale": task.scale,
-        "control_map": None if task.robot is None else _control_map(task.robot),
+        # Offset and factor of each control of the robot's file, for actions in [-1, 1].
+        "control_map": None if control_map is None else [each.tolist() for each in control_map],
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
         **design.exported(),
     }
@@ -138,11 +140,6 @@ def _pose(robot: Body, columns: list[int]) -> dict[str, Any] | None:
     return {"position": columns[:2], "quaternion": quaternion} if is_plain else None
 
 
-def _control_map(robot: Body) -> list[list[float]] | None:
-    """Return offset and factor of each control of the robot's file, for actions in [-1, 1]; None if there are none."""
-    return None if robot.control_map is None else [each.tolist() for each in robot.control_map]
-
-
 def _frames(group: SymmetryGroup) -> dict[str, Any]:
     """Return the frames of a symmetry group, one for each of its elements."""
     tables = dict(zip(("cosine", "sine", "mirror"), group.direction(), strict=True))
@@ -151,7 +148,7 @@ def _frames(group: SymmetryGroup) -> dict[str, Any]:
         tables["view_matrix"] = group.view_matrix
     if group.shifts_clock:
         tables["clock_sign"] = tables["mirror"]
-    frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(group.num_elements)]
+    frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(len(group.view_index))]
     return {"num_turns": group.num_turns, "is_mirrored": group.is_mirrored, "frames": frames}
 
 

@@ -1,16 +1,53 @@
-"""The listings of `shes list` and `shes info`: the state of runs, and what is shipped."""
+"""The listings of `shes list` and `shes info`: the state of runs, what is shipped, and the model card of a run."""
 
 from __future__ import annotations
 
+import json
+import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 from shes.errors import ShesError
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.model_card import model_card
-from shes.runs.shipped import read_agent, shipped_name, shipped_names
+from shes.runs.shipped import FreshScore, read_agent, shipped_name, shipped_names
 from shes.types import Listing, Table, facts_listing
+
+CARD_EPISODES = 100
+"""Fresh episodes on which the controllers of a run are evaluated."""
+_VIDEO = "replay.mp4"  # in the run folder, which the hub shows
+_CARD = """---
+library_name: shes
+pipeline_tag: reinforcement-learning
+tags: [reinforcement-learning, evolution-strategies, mujoco, {env}]
+model-index:
+- name: {name}
+  results:
+  - task: {{type: reinforcement-learning, name: reinforcement-learning}}
+    dataset: {{name: {env}, type: {env}}}
+    metrics: [{{type: mean_reward, name: score, value: {score}}}]
+---
+
+# {title}
+
+A policy for `{run_env}`, trained by `{algorithm}` of SHES ({levels}).
+
+| controller | score ± standard error | success |
+|---|---|---|
+{rows}
+
+Scores are means over {episodes} fresh episodes. What a constant or a random controller reaches as well was not learned.
+
+- seed {seed}, {env_steps:,} environment steps, {generation} generations
+- trained by `{command}`
+{video}
+```
+pip install shes
+shes evaluate FOLDER
+shes render FOLDER --out replay.mp4
+```
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +133,7 @@ def describe_run(run: Path | str, *, full: bool = False, card: bool = False) -> 
     """
     folder = RunFolder.open(run)
     if card:
-        text = model_card(folder)
+        text = _model_card(folder)
         return Listing({"card": text}, [text])
     record, config = folder.read_record(), folder.read_config()
     levels, name = ", ".join(config.level_names), shipped_name(folder.path)
@@ -120,3 +157,36 @@ def describe_run(run: Path | str, *, full: bool = False, card: bool = False) -> 
     settings = {each: value for section in config.to_dict().values() for each, value in section.items()} if full else {}
     listing = facts_listing({**shown, **settings})
     return Listing({**facts, "config": record["config"]}, [*listing.parts, *parts])
+
+
+def _model_card(folder: RunFolder) -> str:
+    """Return the card of the best checkpoint of a run, as the Hugging Face hub shows it, in Markdown.
+
+    All controllers are evaluated for it.
+    """
+    config, checkpoint, name = folder.read_config(), folder.load("best", with_state=False), shipped_name(folder.path)
+    agent = None if name is None else read_agent(name)
+    if agent is None:
+        asked = ("trained", "constant", "random") if "controller" in config.level_names else ("trained",)
+        found = (evaluate(folder.path, episodes=CARD_EPISODES, controller=each) for each in asked)
+        scores = [FreshScore.of(each.listing().facts) for each in found]
+    else:
+        scores = [each for each in agent.evaluations if each]
+    command = shlex.join(map(str, folder.read_record().get("command", []))) if agent is None else agent.commands[-1]
+    rows = [f"| {each.controller or 'none'} | {each.score} | {100 * each.success_rate:.0f} % |" for each in scores]
+    title = folder.path.resolve().name
+    quoted = {"name": title, "env": config.run.env, "score": scores[0].score}
+    return _CARD.format(
+        **{name: json.dumps(value, ensure_ascii=False) for name, value in quoted.items()},
+        title=title,
+        run_env=config.run.env,
+        algorithm=config.run.algorithm,
+        levels=", ".join(config.level_names),
+        rows="\n".join(rows),
+        episodes=scores[0].episodes,
+        seed=config.run.seed,
+        env_steps=checkpoint.env_steps if agent is None else agent.env_steps,
+        generation=checkpoint.generation if agent is None else agent.generation,
+        command=command,
+        video=f"\n<video controls src={_VIDEO}></video>\n" if (folder.path / _VIDEO).exists() else "",
+    )

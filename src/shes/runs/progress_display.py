@@ -126,7 +126,6 @@ class ProgressDisplay:
         return format_duration((1 - share) * (end - begin) / (share - before))
 
     def _facts(self) -> list[tuple[str, str]]:
-        """Return the names and values shown."""
         row, found, score = self._row, self._evaluation, "-"
         if found:
             sign = "+/-" if self._console.options.ascii_only else "±"

@@ -55,10 +55,8 @@ def listener_methods(listener: AnyListener) -> list[ListenerMethods]:
     """Return the methods of each listener; raise ConfigError or UnknownNameError if one has none of these."""
     if isinstance(listener, list | tuple):
         return [methods for each in listener for methods in listener_methods(each)]
-    return [] if listener is None else [_methods(listener)]
-
-
-def _methods(listener: Any) -> ListenerMethods:
+    if listener is None:
+        return []
     if isinstance(listener, type):
         name = listener.__name__
         raise ConfigError(f"listener must be an object, got the class {name}. Write {name}().")
@@ -82,7 +80,7 @@ def _methods(listener: Any) -> ListenerMethods:
             raise ConfigError(f"listener {shown} must take ({', '.join(_METHODS[name])}): {error}.") from error
         except ValueError:  # some built-in functions have no signature
             pass
-    return found
+    return [found]
 
 
 class Divergence:
@@ -132,12 +130,9 @@ class Recorder:
             "evaluation": CsvTable(folder.evaluation, checkpoint.generation),
         }
         self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
+        self.close = self._events.close
         self._earlier_s = last_value(folder.progress, "wall_time_s")
         self._earlier_process_s = last_value(folder.progress, "process_time_s")
-
-    def close(self) -> None:
-        """Close the event file."""
-        self._events.close()
 
     def begin(self, backend: Backend, changes: Iterable[str]) -> None:
         """Start the clock, and tell of the run, of `changes` since it began, and of warnings about its settings."""

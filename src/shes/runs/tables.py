@@ -9,27 +9,31 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shes.errors import RunFolderError
 from shes.runs.checkpoint import short_text
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors, write_atomically
+from shes.types import F64Array
 
 Row = dict[str, Any]
 
 
-def read_csv(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a CSV file of numbers by name; raise RunFolderError if it is missing or damaged.
+def read_csv(path: Path) -> dict[str, F64Array]:
+    """Return the columns of a CSV file of numbers by name, each [rows]; none before the first row.
 
-    A last row without the end of its line is left out: it is being written, or a crash has cut it off.
+    A last row without the end of its line is left out: it is being written, or a crash has cut it off. Raise
+    RunFolderError if the file is damaged.
     """
-    header, rows = _read(path)
-    return {name: [float(row[i]) for row in rows.values()] for i, name in enumerate(header if rows else ())}
+    header, rows = _read(path) if path.exists() else ([], {})
+    columns = np.array([row[: len(header)] for row in rows.values()], dtype=np.float64).T
+    return dict(zip(header, columns, strict=False))
 
 
 def last_value(path: Path, column: str) -> float:
     """Return the last value in a column of a CSV file; 0 before the first row."""
-    values = read_csv(path).get(column) if path.exists() else None
-    return values[-1] if values else 0.0
+    return float(read_csv(path).get(column, [0.0])[-1])
 
 
 def trained_minutes(folder: RunFolder) -> float:

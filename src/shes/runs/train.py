@@ -70,16 +70,12 @@ class Run:
     @property
     def progress(self) -> dict[str, F64Array]:
         """The columns of `progress.csv` by name, a value per generation; empty before the first one."""
-        return _columns(RunFolder(self.path).progress)
+        return read_csv(RunFolder(self.path).progress)
 
     @property
     def evaluations(self) -> dict[str, F64Array]:
         """The columns of `evaluation.csv` by name, a value per evaluation; empty before the first one."""
-        return _columns(RunFolder(self.path).evaluation)
-
-
-def _columns(table: Path) -> dict[str, F64Array]:
-    return {name: np.array(values) for name, values in read_csv(table).items()} if table.exists() else {}
+        return read_csv(RunFolder(self.path).evaluation)
 
 
 def train(

@@ -27,7 +27,6 @@ class Simulator(ABC):
 
     starts_together: ClassVar[bool] = False
     """Whether resetting all simulations at once is faster: a device computes all of them in every step."""
-    _physics_s: float = 0.0
     model: mujoco.MjModel
     """The model that every simulation runs."""
     num_sims: int
@@ -44,11 +43,8 @@ class Simulator(ABC):
     """Whether a simulation has diverged since its reset [N]. MuJoCo has then reset it to a finite state."""
     state_parts: Sequence[F64Array]
     """qpos, qvel, the solver's warm start [N, nv] and the time [N, 1]: all that a step depends on but the controls."""
-
-    @property
-    def physics_s(self) -> float:
-        """Wall-clock seconds spent in steps so far; waits for a device."""
-        return self._physics_s
+    physics_s: float = 0.0
+    """Wall-clock seconds spent in steps so far; waits for a device."""
 
     @abstractmethod
     def reset(self, ids: IntArray) -> None:
@@ -71,15 +67,9 @@ class Simulator(ABC):
             end = start + part.shape[1]
             part[rows], start = self.xp.asarray(states[:, start:end], dtype=part.dtype), end
 
+    @abstractmethod
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""
-        start = perf_counter()
-        self.advance(ids, nstep)
-        self._physics_s += perf_counter() - start
-
-    @abstractmethod
-    def advance(self, ids: IntArray, nstep: int) -> None:
-        """Advance simulations `ids` by `nstep` physics steps; `step` measures the time."""
 
     def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers
         """Raise a ConfigError if a buffer has overflowed since the start; called once a generation."""
@@ -115,9 +105,7 @@ class CpuSimulator(Simulator):
         self.xp = np
         self._batch = Batch(model, num_sims, nthread=num_threads)
         self._batch.reset()
-        self.qpos = self._batch.bind("qpos")
-        self.qvel = self._batch.bind("qvel")
-        self.ctrl = self._batch.bind("ctrl")
+        self.qpos, self.qvel, self.ctrl = map(self._batch.bind, ("qpos", "qvel", "ctrl"))
         self._default = self._batch.state[0].copy()
         warmstart, time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
         self.state_parts = (self.qpos, self.qvel, warmstart, time.reshape(num_sims, 1))
@@ -130,8 +118,10 @@ class CpuSimulator(Simulator):
         self._batch.warning[ids] = 0  # a reset within a step clears them first, so a divergence reads 1
         self.diverged[ids] = False
 
-    def advance(self, ids: IntArray, nstep: int) -> None:
+    def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
+        start = perf_counter()
         self._batch.step(None if len(ids) == self.num_sims else ids, nstep=nstep)  # None is all: no ids to check
         if self._counters.any():
             np.any(self._counters, axis=1, out=self.diverged)
+        self.physics_s += perf_counter() - start

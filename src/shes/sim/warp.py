@@ -106,7 +106,6 @@ class WarpSimulator(Simulator):
         self.reset(np.arange(num_sims))
 
     def _allocate(self) -> None:
-        """Allocate model and state on the device."""
         wp, view = self._warp, self._device.view
         try:
             self._model: Any = self._mujoco_warp.put_model(self.model)
@@ -138,7 +137,7 @@ class WarpSimulator(Simulator):
         for array in (*self.state_parts[1:], self.ctrl, self.diverged):
             array[ids] = 0
 
-    def advance(self, ids: IntArray, nstep: int) -> None:
+    def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
 
         All simulations are computed; the states of those that are not in `ids` are saved before and restored after.
@@ -154,19 +153,15 @@ class WarpSimulator(Simulator):
             self._warp.capture_launch(self._graphs[nstep])
 
     @property
-    def physics_s(self) -> float:
+    def physics_s(self) -> float:  # type: ignore[override] - an attribute on the CPU
         """Seconds that the device has spent on steps so far; waits for the device."""
         while self._timers:
             self._device_s += self._timers.pop()()
         return self._device_s
 
-    def peaks(self) -> tuple[int, int]:
-        """Return the most contacts or pairs of all simulations, and constraint rows of one; waits for the device."""
-        return int(self._peak_contacts.numpy()[0]), int(self._peak_constraints.numpy().max())
-
     def check_buffers(self) -> None:
         """Check that the buffers have sufficed; waits for the device. See `Simulator.check_buffers`."""
-        contacts, rows = self.peaks()
+        contacts, rows = int(self._peak_contacts.numpy()[0]), int(self._peak_constraints.numpy().max())
         if contacts > self.nconmax * self.num_sims:
             raise ConfigError(
                 f"mujoco-warp's contact buffer overflowed: {contacts} contacts or close pairs of geoms in "

@@ -6,13 +6,11 @@ from __future__ import annotations
 
 import gc
 import os
-import sys
 import warnings
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from functools import cache
 from importlib import metadata
-from tempfile import TemporaryFile
+from pathlib import Path
 from time import perf_counter
 from types import ModuleType
 from typing import Any
@@ -23,7 +21,6 @@ from shes.errors import ConfigError, MissingExtraError
 
 DEVICES = ("warp-cpu", "cuda")
 _PACKAGES = ("mujoco-warp", "warp-lang")
-_NATIVE = "Warp CUDA "  # begins lines that Warp's native code writes to stderr without a GPU
 _OUT_OF_MEMORY = ("failed to allocate", "out of memory", "alloc_failed")  # Warp's, CUDA's, cuBLAS'
 
 
@@ -31,9 +28,8 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
     """Return the modules `warp` and `mujoco_warp`, initialised.
 
     Warp's messages on stdout about itself and the kernels that it compiles are turned off, unless the caller has set a
-    log level. Its message on stderr about a missing GPU is kept for the error that `WarpDevice` raises.
+    log level. So is what its native code writes to stderr without a GPU: the error that `WarpDevice` raises says it.
     """
-    _check_versions()
     try:
         import warp
 
@@ -45,50 +41,16 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
             f"mujoco-warp cannot be imported ({error}). Install it: pip install 'shes[gpu]', or 'shes[warp]' for "
             "--device warp-cpu alone."
         ) from error
-    start_warp()
-    return warp, mujoco_warp
-
-
-def _check_versions() -> None:
-    """Raise a ConfigError if mujoco-warp or this package needs another version of a package."""
-    from packaging.requirements import Requirement
-
-    for package in ("shes", "mujoco-warp"):
-        with suppress(metadata.PackageNotFoundError):  # one that is not installed is told by its import
-            for each in map(Requirement, metadata.requires(package) or ()):
-                if each.name not in ("mujoco", *_PACKAGES) or (
-                    each.marker and not each.marker.evaluate({"extra": "warp"})
-                ):
-                    continue
-                version = metadata.version(each.name)
-                if not each.specifier.contains(version, prereleases=True):
-                    raise ConfigError(
-                        f"{package} needs {each.name}{each.specifier}, got {version}. Install compatible versions: "
-                        "pip install 'shes[gpu]', or 'shes[warp]' for --device warp-cpu alone."
-                    )
-
-
-@cache
-def start_warp() -> str:
-    """Initialise Warp, once; return what its native code writes to stderr about a missing GPU or an old driver."""
-    import warp
-
-    try:
+    with Path(os.devnull).open("w") as nowhere, suppress(OSError):  # stderr may be closed
         stderr = os.dup(2)
-    except OSError:  # stderr is closed
-        warp.init()
-        return ""
-    with TemporaryFile() as file:
-        os.dup2(file.fileno(), 2)
+        os.dup2(nowhere.fileno(), 2)
         try:
             warp.init()
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)
-            file.seek(0)
-            lines = file.read().decode(errors="replace").splitlines(keepends=True)
-            sys.stderr.writelines(line for line in lines if not line.startswith(_NATIVE))
-    return " ".join(line.partition(": ")[2].strip() for line in lines if line.startswith(_NATIVE))
+    warp.init()
+    return warp, mujoco_warp
 
 
 def is_out_of_memory(error: BaseException) -> bool:
@@ -112,10 +74,9 @@ class WarpDevice:
             self.warp_device: Any = warp.get_device("cpu")
             return
         if not warp.get_cuda_device_count():
-            told = f" ({start_warp().rstrip('.')})" if start_warp() else ""
             raise ConfigError(
-                f"device cuda needs an NVIDIA GPU and its driver, R580 or newer; Warp found none{told}. `nvidia-smi` "
-                "lists this machine's GPUs. Use --device cpu."
+                "device cuda needs an NVIDIA GPU and its driver, R580 or newer; Warp found none. `nvidia-smi` lists "
+                "this machine's GPUs. Use --device cpu."
             )
         self.warp_device = warp.get_device("cuda:0")
         if not warp.is_conditional_graph_supported():
@@ -173,7 +134,6 @@ def _driver(warp: ModuleType) -> str:
 
 
 def _load_cupy(driver: str) -> ModuleType:
-    """Return the module `cupy`."""
     try:
         import cupy
 

@@ -10,8 +10,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
-
 from shes.errors import ConfigError, ShesError
 from shes.runs.comparison import differing_settings, settings_and_seeds
 from shes.runs.config import TrainConfig
@@ -28,7 +26,7 @@ _FIRST = ("env", "algorithm", "preset")
 _MOST_NAMED = 4
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class RunData:
     """A run, as its files describe it."""
 
@@ -36,9 +34,9 @@ class RunData:
     name: str
     """Its path, or its name as a shipped agent."""
     config: TrainConfig
-    tables: dict[str, Table]
+    tables: dict[str, Table] = field(default_factory=dict)
     """`progress` and `evaluation`; a table that is missing or damaged is empty."""
-    is_damaged: bool
+    is_damaged: bool = False
     """Whether a table cannot be read."""
     notes: list[str] = field(default_factory=list)
     """Faults found while this run was read or played."""
@@ -74,21 +72,17 @@ def read_runs(runs: Path | str | Sequence[Path | str], command: str) -> tuple[li
 
 def read_run(folder: RunFolder) -> RunData:
     """Return what the files of a run say; raise ShesError if its record cannot be read."""
-    tables: dict[str, Table] = {}
-    notes: list[str] = []
-    is_damaged = False
+    run = RunData(folder=folder, name=_name(folder), config=folder.read_config())
     for path in (folder.progress, folder.evaluation):
-        columns: dict[str, list[float]] = {}
         try:
-            columns = read_csv(path) if path.exists() else {}
-            if not columns:
-                notes.append(f"{path.name} {'has no row' if path.exists() else 'is missing'}: its curves are left out.")
+            run.tables[path.stem] = read_csv(path)
+            if not run.tables[path.stem]:
+                what = "has no row" if path.exists() else "is missing"
+                run.notes.append(f"{path.name} {what}: its curves are left out.")
         except ShesError as error:
-            is_damaged = True
-            notes.append(f"Curves are left out: {error}")
-        tables[path.stem] = {name: np.array(values) for name, values in columns.items()}
-    read = {"name": _name(folder), "config": folder.read_config(), "tables": tables}
-    return RunData(folder=folder, **read, is_damaged=is_damaged, notes=notes)
+            run.tables[path.stem], run.is_damaged = {}, True
+            run.notes.append(f"Curves are left out: {error}")
+    return run
 
 
 def _name(folder: RunFolder) -> str:

@@ -6,18 +6,20 @@ import base64
 import json
 import logging
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from html import escape
+from importlib.resources import files
 from itertools import chain
 from math import sqrt
 from pathlib import Path
+from string import Template
 from typing import Annotated, Any
 
 import numpy as np
 
-from shes.errors import ShesError
+from shes.errors import MissingExtraError, ShesError
 from shes.rollout.episodes import PARTS
 from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.listings import run_state
@@ -28,7 +30,7 @@ from shes.storage import write_atomically
 from shes.types import F64Array
 from shes.viewing.curves import confidence_interval
 from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_text
-from shes.viewing.render import render
+from shes.viewing.render import check_target, render
 from shes.viewing.report_figures import (
     MOST_EPISODES,
     SECTIONS,
@@ -37,8 +39,6 @@ from shes.viewing.report_figures import (
     panels_of,
     play_maps,
 )
-from shes.viewing.report_page import page, paragraph, plot, read_plotly, section, table
-from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
 _MOST_SHOWN = 6
@@ -85,7 +85,7 @@ def report(
     is_one = len(read) == 1 and not shipped_name(read[0].folder.path)
     target = Path(out) if out is not None else (read[0].folder.path if is_one else Path()) / "report.html"
     check_target(target, [".html"])
-    plotly = read_plotly()
+    plotly = _read_plotly()
     groups = group_runs(read)
     shown = groups[:_MOST_SHOWN]
     total = len(read) + len(shown) * (1 + video)
@@ -95,21 +95,22 @@ def report(
         if on_step is not None:
             on_step(next(parts), total)
 
-    figures: dict[str, Figure] = {}
     found: dict[str, Evaluation] = {}
     for run in read:
         begin_part()
         with _noting(run, "evaluation"):
             found[run.name] = evaluate(run.folder.path, episodes=episodes, num_workers=num_workers, seed=seed)
-    maps = _maps(shown, begin_part, figures, episodes, seed, has_videos=video)
-    returns, diagnostics = (_curves(title, groups, figures) for title in SECTIONS)
+    maps = _maps(shown, begin_part, episodes, seed, has_videos=video)
+    returns, diagnostics = (_curves(title, groups) for title in SECTIONS)
     rest = [diagnostics, _timing(read), _settings(read), _origins(read)]
     notes = [f"{name} is left out: {error}" for name, error in errors.items()]
     body = [_runs(groups, notes), _results(groups, found, episodes), returns, maps, *rest]
     envs = dict.fromkeys(run.config.run.env for run in read)
     title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(envs)}"
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
-    text = page(f"Report: {title}", made, body, figures, plotly)
+    template = Template((files("shes.viewing") / "report_page.html").read_text(encoding="utf-8"))
+    whole = {"title": escape(f"Report: {title}"), "subtitle": made, "body": "\n".join(body), "plotly": plotly}
+    text = template.substitute(whole)
     write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
     return target
 
@@ -136,7 +137,7 @@ def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes:
         "over episodes, or over runs in the row of a group, and the 95 % interval of the mean (Student's t)."
     )
     headings = ("run", "score", "return", "success rate", "goals reached", "steps", "diverged")
-    return section("Fresh episodes", paragraph(hint), table(headings, rows)) if rows else ""
+    return _section("Fresh episodes", _paragraph(hint), _table(headings, rows)) if rows else ""
 
 
 def _result_cells(found: Sequence[Evaluation]) -> list[str]:
@@ -162,27 +163,19 @@ def estimate(values: F64Array) -> str:
     return f"{values.mean():.2f} ± {error:.2f} [{low:.2f}, {high:.2f}]"
 
 
-def _curves(title: str, groups: Sequence[Group], figures: dict[str, Figure]) -> str:
+def _curves(title: str, groups: Sequence[Group]) -> str:
     """Return the section of curves `title`, with a figure for each environment."""
     found: list[str] = []
     for env in dict.fromkeys(group.runs[0].config.run.env for group in groups):
         own = [group for group in groups if group.runs[0].config.run.env == env]
         if panels := panels_of([run for group in own for run in group.runs], title):
-            name = f"{title} {env}"
-            figures[name] = curve_figure(panels, own)
-            found += [f"<h3>{escape(env)}</h3>", plot(name)]
-    hint = paragraph(_CURVES_HINT) if found and title == SECTIONS[0] else ""
-    return section(title, hint, *found)
+            found += [f"<h3>{escape(env)}</h3>", _plot(f"{title} {env}", curve_figure(panels, own))]
+    hint = _paragraph(_CURVES_HINT) if found and title == SECTIONS[0] else ""
+    return _section(title, hint, *found)
 
 
 def _maps(
-    groups: Sequence[Group],
-    begin_part: Callable[[], None],
-    figures: dict[str, Figure],
-    episodes: int,
-    seed: int | None,
-    *,
-    has_videos: bool,
+    groups: Sequence[Group], begin_part: Callable[[], None], episodes: int, seed: int | None, *, has_videos: bool
 ) -> str:
     """Return maps and videos of the first run of each group, as far as they can be made."""
     cards: list[str] = []
@@ -195,9 +188,7 @@ def _maps(
         with _noting(run, "map"):
             maps = play_maps(run.folder.path, episodes, seed)
             for title, figure in zip(("", ": search for a way"), maps, strict=False):
-                place = f"map {len(figures)}"
-                figures[place] = figure
-                add(run.name + title, plot(place))
+                add(run.name + title, _plot(f"map {run.name}{title}", figure))
         if has_videos:
             begin_part()
             with _noting(run, "video"):
@@ -208,7 +199,7 @@ def _maps(
         "of the first episode."
     )
     grid = "\n".join(['<div class="cards">', *cards, "</div>"])
-    return section("Maps and videos", paragraph(hint), grid) if cards else ""
+    return _section("Maps and videos", _paragraph(hint), grid) if cards else ""
 
 
 def _video_uri(run: RunData, seed: int | None) -> str:
@@ -231,7 +222,7 @@ def _timing(runs: Sequence[RunData]) -> str:
             rows.append([run.name, f"{progress['wall_time_s'][-1]:,.0f}", *spent])
     words = [name.removesuffix("_s") for name in names]
     headings = ["run", "wall clock", *(f"{word} (in workers)" if word in PARTS else word for word in words)]
-    return section("Time in seconds", table(headings, rows))
+    return _section("Time in seconds", _table(headings, rows))
 
 
 def _settings(runs: Sequence[RunData]) -> str:
@@ -241,12 +232,12 @@ def _settings(runs: Sequence[RunData]) -> str:
         env, preset, algorithm = run.config.run.env, run.config.run.preset, run.config.run.algorithm
         with _noting(run, "preset"):
             configs[f"preset {preset} of {algorithm} for {env}"] = make_config(env, preset, {"algorithm": algorithm})
-    columns = [dict(chain(*(part.items() for part in config.to_dict().values()))) for config in configs.values()]
+    columns = [config.values for config in configs.values()]
     rows = [
         (name, *(setting_text(each[name]) if name in each else "-" for each in columns))
         for name in dict.fromkeys(chain(*columns))
     ]
-    return section("Settings that differ", table(("setting", *configs), [row for row in rows if len({*row[1:]}) > 1]))
+    return _section("Settings that differ", _table(("setting", *configs), [row for row in rows if len({*row[1:]}) > 1]))
 
 
 def _runs(groups: Sequence[Group], notes: list[str]) -> str:
@@ -261,7 +252,7 @@ def _runs(groups: Sequence[Group], notes: list[str]) -> str:
     for note in notes:
         logger.warning(note)  # on standard error, unless logging is set up
     headings = ("run", "group", *(name.replace("_", " ") for name in _STATE))
-    return section("Runs", table(headings, rows), *(paragraph(note, "note") for note in notes))
+    return _section("Runs", _table(headings, rows), *(_paragraph(note, "note") for note in notes))
 
 
 def _origins(runs: Sequence[RunData]) -> str:
@@ -273,4 +264,38 @@ def _origins(runs: Sequence[RunData]) -> str:
         record |= {"made by": read_agent(agent).commands} if agent else {}
         text = escape(json.dumps(record, indent=2, default=str))
         parts.append(f"<details><summary>{escape(run.name)}</summary>\n<pre>{text}</pre></details>")
-    return section("Hardware, versions and commands", *parts)
+    return _section("Hardware, versions and commands", *parts)
+
+
+def _read_plotly() -> str:
+    """Return the program plotly.js; raise MissingExtraError if plotly is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise MissingExtraError(f"a report needs plotly ({error}). Install it: pip install 'shes[report]'.") from error
+    return get_plotlyjs().replace("</script", "<\\/script")
+
+
+def _section(title: str, *parts: str) -> str:
+    """Return a section of the page; empty without `parts`."""
+    content = "\n".join(filter(None, parts))
+    return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>" if content else ""
+
+
+def _paragraph(text: str, kind: str = "hint") -> str:
+    return f'<p class="{kind}">{escape(text)}</p>'
+
+
+def _table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table; empty without rows."""
+    lines = ["".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows]
+    head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
+    body = "\n".join(f"<tr>{line}</tr>" for line in lines)
+    whole = f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+    return whole if lines else ""
+
+
+def _plot(name: str, figure: Figure) -> str:
+    """Return the data of the figure called `name`, and its place."""
+    place, data = escape(name), json.dumps(figure, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return f'<script type="application/json" data-plot="{place}">{data}</script>\n<div class="plot" id="{place}"></div>'

@@ -102,10 +102,7 @@ def _curve_layout(panels: Sequence[Panel], abscissae: Sequence[str]) -> dict[str
         {
             "method": "update",
             "label": label,
-            "args": [
-                {"visible": [each == x for each in abscissae]},
-                {f"{axis}.title.text": label for axis in axes},
-            ],
+            "args": [{"visible": [each == x for each in abscissae]}, {f"{axis}.title.text": label for axis in axes}],
         }
         for x, (label, _) in X_AXES.items()
     ]
@@ -166,7 +163,7 @@ def play_maps(run: Path, episodes: int, seed: int | None = None) -> list[Figure]
     playback = Playback(run, "best", seed)
     task = playback.task
     try:
-        layout = _map_layout(None if task.draws_itself else task.world_to_draw().compile())
+        layout = _map_layout(None if task.robot is None else task.world_to_draw().compile())
         traces = [each for number in range(min(episodes, MOST_EPISODES)) for each in _episode_traces(playback, number)]
     finally:
         task.close()

@@ -54,7 +54,6 @@ class Ant(FreeBody):
 
     @staticmethod
     def _add_leg(torso: mujoco.MjsBody, number: int) -> None:
-        """Add a leg to the torso: a fixed capsule, the hip's capsule, and the ankle's."""
         sign_x, sign_y, ankle_axis, ankle_range = _LEGS[number]
         upper = [UPPER_M * sign_x, UPPER_M * sign_y, 0]
         lower = [LOWER_M * sign_x, LOWER_M * sign_y, 0]

@@ -16,11 +16,6 @@ from shes.settings import Settings
 from shes.types import BoolArray, F64Array, IntArray
 
 
-def signed_permutation(source: Sequence[int], sign: Sequence[float]) -> F64Array:
-    """Return the matrix [V, V] of `new[i] = sign[i] * old[source[i]]`."""
-    return np.eye(len(source))[list(source)] * np.array(sign)[:, None]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SymmetryGroup:
     """A group of K rotations, or of K rotations and K reflections: T elements.
@@ -52,20 +47,14 @@ class SymmetryGroup:
         """Whether a reflection shifts the clock by half a period: left and right legs take turns in a gait."""
         return self.num_turns == 1 and self.is_mirrored
 
-    @property
-    def num_elements(self) -> int:
-        """Number of elements, T."""
-        return len(self.view_index)
-
     def direction(self) -> tuple[F64Array, F64Array, F64Array]:
         """Return cosine and sine of every element's rotation, and -1 for reflections, else 1; each [T]."""
-        turns = np.arange(self.num_elements) % self.num_turns
-        angle = 2 * np.pi * turns / self.num_turns
+        element = np.arange(len(self.view_index))
+        angle = 2 * np.pi * (element % self.num_turns) / self.num_turns
         cosine, sine = np.cos(angle), np.sin(angle)
         for part in (cosine, sine):  # make quarter turns exact: np.cos(np.pi / 2) is not 0
             part[np.abs(part) < 1e-9] = 0.0
-        mirror = np.where(np.arange(self.num_elements) < self.num_turns, 1.0, -1.0)
-        return cosine, sine, mirror
+        return cosine, sine, np.where(element < self.num_turns, 1.0, -1.0)
 
     def choose(self, ahead: F64Array, left: F64Array) -> IntArray:
         """Return the element [N] in whose frame goals at (`ahead`, `left`) [N] are nearest to straight ahead.

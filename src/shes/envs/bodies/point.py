@@ -32,7 +32,6 @@ class Point(Body):
     controls = ("slide_x", "slide_y")
     control_unit = "6 N"
     control_limit = 1.0
-    quaternion = None
     start_height_m = HEIGHT_M
     """Initial height of the centre above the ground."""
 

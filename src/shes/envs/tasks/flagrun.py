@@ -80,7 +80,6 @@ class Flagrun(Task):
         self._rngs: list[np.random.Generator | None] = [None] * num_episodes  # None before the first reset
         # Copy of `time` on the host, where goals are drawn: no need to wait for a device.
         self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
-        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
         self.reader = FlagrunReader(self.body, self.observation_size, self.proprioception)
 
     @property
@@ -127,7 +126,6 @@ class Flagrun(Task):
         self._move_goals(ids)
 
     def _move_goals(self, ids: IntArray) -> None:
-        """Draw the next goals of episodes `ids`."""
         offsets = np.array([self._draw_offset(self._rngs[i]) for i in ids.tolist()])
         rows = self.xp.asarray(ids)
         self._goal[rows] = self.position[rows] + self.xp.asarray(offsets)
@@ -136,14 +134,12 @@ class Flagrun(Task):
         self._start_distance[rows] = self._distance[rows]
 
     def _measure(self) -> None:
-        """Compute offset and distance from every robot to its goal."""
         np.subtract(self._goal.T, self.position.T, out=self._offset)
         squares = self._offset * self._offset
         np.add(squares[0], squares[1], out=self._distance)
         np.sqrt(self._distance, out=self._distance)
 
     def _draw_offset(self, rng: Any) -> tuple[float, float]:
-        """Draw a goal, relative to the robot."""
         half_width = self.options.goal_distance
         while True:
             x, y = rng.uniform(-half_width, half_width, 2).tolist()

@@ -44,7 +44,6 @@ FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 
 
 def _outside_free_radius(places: F64Array) -> F64Array:
-    """Return those of `places` [any, 2] where objects may lie."""
     return places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
 
 
@@ -84,7 +83,6 @@ class Gather(Task):
         self._best_return: F64Array = xp.zeros(n)
         self._offset: F64Array = xp.zeros(self._places.shape)
         self._squared_distance: F64Array = xp.zeros(self.present.shape)
-        self._observation: F64Array = xp.zeros((n, self.observation_size))
 
     @classmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
@@ -195,7 +193,6 @@ class Gather(Task):
         return places[:count]
 
     def _measure(self) -> None:
-        """Compute offset and squared distance from every robot to its objects."""
         np.subtract(self._places, self.position.T[:, :, None, None], out=self._offset)
         squares = self._offset * self._offset
         np.add(squares[0], squares[1], out=self._squared_distance)

@@ -85,7 +85,6 @@ class TargetTask(Task):
         self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3] in metres."""
         self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
-        self._observation: F64Array = self.xp.zeros((self.num_episodes, self.observation_size))
         self.ends_early = self._min_cos_tilt is not None
         if self.options.spec == "hiro":
             self.primitive_view = self.primitive_view[: -len(self.own_target)]

@@ -20,7 +20,7 @@ from shes.envs.worlds import ARENA, INTEGRATORS, SCALE, Grid, add_grid, empty_wo
 from shes.errors import ShapeError, UnknownNameError
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Unasked
 from shes.sim.simulator import CpuSimulator, Simulator
-from shes.streams import EpisodePurpose, episode_stream
+from shes.streams import EpisodePurpose, stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
 SPECS = {"shes": "euler", "hiro": "rk4"}
@@ -144,6 +144,7 @@ class Task(EpisodeBatch):
         self.action_size, self.control_limit = len(body.controls), body.control_limit
         self.sim = simulator(self.build_world(body, options).compile(), num_episodes)
         self.xp, self.starts_together = self.sim.xp, self.sim.starts_together
+        self.states, self.check_buffers = self.sim.states, self.sim.check_buffers
         self._control_map = body.control_map and tuple(self.xp.asarray(each) for each in body.control_map)
         self.observation_names = tuple(element.name for element in self.observation_spec)
         self.observation_size = len(self.observation_names)
@@ -155,6 +156,7 @@ class Task(EpisodeBatch):
         self.reward, self.running_return = (self.xp.zeros(num_episodes) for _ in range(2))
         self.diverged, self.truncated = self.sim.diverged, self.xp.zeros(num_episodes, dtype=np.bool_)
         self._heading: F64Array | None = None  # computed when it is first read after a step
+        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
         max_tilt: float | None = getattr(options, "max_tilt", None)
         if max_tilt is not None:
             body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
@@ -212,10 +214,6 @@ class Task(EpisodeBatch):
         """Wall-clock seconds spent in the simulation so far."""
         return self.sim.physics_s
 
-    def check_buffers(self) -> None:
-        """Check that the simulator's buffers have sufficed; see `EpisodeBatch.check_buffers`."""
-        self.sim.check_buffers()
-
     @property
     def position(self) -> F64Array:
         """Robots' positions [N, 2] in metres."""
@@ -264,9 +262,7 @@ class Task(EpisodeBatch):
 
     def velocity_elements(self, velocity: tuple[ObservationElement, ...]) -> tuple[ObservationElement, ...]:
         """Return the elements of velocities as `write_velocity` writes them."""
-        if self.options.spec == "hiro":
-            return velocity
-        limit = self.body.velocity_clip
+        limit = np.inf if self.options.spec == "hiro" else self.body.velocity_clip
         return tuple(replace(each, low=-limit, high=limit) for each in velocity)
 
     def write_velocity(self, velocity: F64Array, out: F64Array) -> None:
@@ -277,14 +273,10 @@ class Task(EpisodeBatch):
             np.maximum(velocity, -self.body.velocity_clip, out=out)  # two ufuncs are faster than np.clip
             np.minimum(out, self.body.velocity_clip, out=out)
 
-    def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the physics states of episodes `ids` [ids, S]."""
-        return self.sim.states(ids)
-
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
         self.sim.reset(ids)
-        rngs = [episode_stream(int(seed), EpisodePurpose.RESET) for seed in seeds]
+        rngs = [stream(int(seed), EpisodePurpose.RESET) for seed in seeds]
         self._place_robots(ids, rngs)
         given = [i for i, state in enumerate(states) if state is not None]
         if given:
