@@ -31,7 +31,7 @@ def values_by_name(model, data):
 
 def drive(model, agent, goal, seconds):
     """Walk towards `goal` (x, y) in metres from the first keyframe; yield time and distance after every second."""
-    data, spec, step_s = mujoco.MjData(model), agent.spec, agent.spec["clock"][0]["step_s"]
+    data, spec, step_s = mujoco.MjData(model), agent.spec, agent.spec["step_s"]
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     offset, factor = np.array(spec["control_map"])

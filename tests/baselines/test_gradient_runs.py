@@ -135,9 +135,7 @@ def test_a_checkpoint_of_another_run_is_refused(untrained):
     arrays = dict(np.load(file))
     for name in ("actor", "replay/older/inputs"):
         np.savez(file, **{**arrays, f"policy/{name}": np.zeros((2, 2), np.float32)})
-        with pytest.raises(
-            CheckpointError, match=rf"last\.npz holds policy/{name} as float32 of shape \(2, 2\), where"
-        ):
+        with pytest.raises(CheckpointError, match=rf"last\.npz holds policy/{name} as float32 of shape \(2, 2\)"):
             open_run(path, "last")
 
 

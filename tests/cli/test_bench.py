@@ -54,7 +54,7 @@ def test_a_replay_ends_where_the_generation_did(env, settings, episodes, branche
 def test_part_of_a_generation_has_its_share_of_branches():
     episodes = record_generation(build_algorithm(tiny("point-gather", **BRANCHES)), 1, num_episodes=4).episodes
     assert [len(episode.controls) for episode in episodes] == [10] * 4 + [6] * 6
-    times = [episode.start[-1] for episode in episodes]  # branches begin with the state of a snapshot
+    times = [episode.start[0] for episode in episodes]  # branches begin with the state of a snapshot
     assert (set(times[:4]), max(times[4:]) > 0) == ({0.0}, True)
 
 

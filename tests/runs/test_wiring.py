@@ -21,6 +21,7 @@ from shes.runs.config import known_settings
 from shes.settings import setting_fields
 from shes.streams import Purpose, stream
 from tests.e2e import runs
+from tests.envs.robot_files import ASSETS
 from tests.runs.recorder import record_generations, recording
 
 
@@ -228,6 +229,9 @@ GROUPS: dict[str, Group] = {
     "flagrun": Group({
         "horizon": Row(90, lambda r: r.state.running is not None, True),
     }, env="point-flagrun", common={"primitive_estimate": "interval"}),
+    "robot": Group({
+        "control_step": Row(0.05, batches(lambda b: (b.step_s, b.body.frame_skip)), [(0.05, 5)] * 2),
+    }, env="flagrun", common={**SHORT, "robot": str(ASSETS / "ant.xml")}),
 }  # fmt: skip
 
 
@@ -248,8 +252,10 @@ SHOWN = {
     *("primitive", "primitive_checkpoint", "freeze_primitive", "controller"),
     *("num_workers", "backend", "device", "nconmax", "njmax", "deterministic"),
     *("env_kwargs", "reset_options"),  # of external environments
+    *("robot", "motors", "robot_keyframe"),
 }
-"""Settings that show in a run alone: see `test_train`, `test_tables`, `test_transfer`, `test_device` and tests/e2e."""
+"""Settings that show in a run alone: see `test_train`, `test_tables`, `test_transfer`, `test_device`, tests/e2e and
+`tests/envs/test_robots`."""
 
 
 def test_every_setting_has_a_row():

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from shes.envs.bodies.robot import Robot, RobotOptions
 from shes.envs.named_environments import ENVIRONMENTS
+from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.task import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError
@@ -20,6 +22,7 @@ from shes.sim.simulator import CpuSimulator
 from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
 from tests.contracts.variants import VARIANTS
+from tests.envs.robot_files import ASSETS, MOTOR, walker
 from tests.sim.ants import ant_model
 
 pytestmark = [
@@ -201,3 +204,30 @@ def test_the_kernels_compile_for_cards_that_are_not_there(tmp_path, architecture
     (code,) = [path for path in map(Path, paths) if path.suffix == ".ptx"]
     entries = re.findall(r"\.entry (\w+?)_[0-9a-f]+_cuda_kernel_forward", code.read_text())
     assert set(warp_kernels.__all__) == set(entries)
+
+
+def test_a_robot_from_a_file_moves_as_in_mujoco():
+    robot, ids, rng = Robot(RobotOptions(robot=str(ASSETS / "ant.xml"))), np.arange(2), np.random.default_rng(0)
+    tasks = [Flagrun(robot, 2, Flagrun.Options(), simulator) for simulator in (CpuSimulator, WarpCpu)]
+    for each in tasks:
+        each.reset(ids, [1, 2])
+    for _ in range(5):
+        action = rng.uniform(-1, 1, (2, 8)).astype(np.float32)
+        for each in tasks:
+            each.step(ids, action)
+            each.check_buffers()
+    assert_allclose(*(each.sim.qpos for each in tasks), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "before", "message"),
+    [
+        ('<position joint="{}" timeconst=".1"/>', "", "activations, delays or plasticity"),
+        (MOTOR, '<option solver="PGS"/>', "mjSOL_PGS"),
+    ],
+)
+def test_what_a_robot_needs_and_a_device_lacks_is_named(tmp_path, actuator, before, message):
+    (tmp_path / "robot.xml").write_text(walker(4, actuator=actuator, before=before))
+    robot = Robot(RobotOptions(robot=str(tmp_path / "robot.xml")))
+    with pytest.raises(ConfigError, match=f"{message}.*Use --device cpu"):
+        Flagrun(robot, 2, Flagrun.Options(), WarpCpu)

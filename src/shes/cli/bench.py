@@ -11,7 +11,6 @@ from time import perf_counter
 from typing import Annotated, Any, Literal, NamedTuple
 
 import mujoco
-import numpy as np
 
 from shes.backends.backend import SerialBackend
 from shes.envs.named_environments import find_environment
@@ -102,7 +101,7 @@ class RecordedEpisode(NamedTuple):
     """The physics of an episode or a branch."""
 
     start: F64Array
-    """Physics state at its start [S]: qpos, qvel, the solver's warm start, time."""
+    """MuJoCo's integration state at its start, the time first."""
     controls: list[F64Array]
     """Controls of every control step [A]."""
 
@@ -117,8 +116,7 @@ class BarePhysics:
         """Replay `episode` in `data`."""
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
-        parts = np.split(episode.start, np.cumsum([model.nq, model.nv, model.nv]))
-        data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = parts
+        mujoco.mj_setState(model, data, episode.start, mujoco.mjtState.mjSTATE_INTEGRATION)
         for control in episode.controls:
             data.ctrl[:] = control
             mujoco.mj_step(model, data, nstep=self.frame_skip)
@@ -179,7 +177,7 @@ class _RecordingSimulator(CpuSimulator):
     def step(self, ids: IntArray, nstep: int) -> None:
         for i in ids.tolist():
             if i not in self._running:
-                self._running[i] = RecordedEpisode(self.states(np.array([i]))[0], [])
+                self._running[i] = RecordedEpisode(self._batch.state[i].copy(), [])
                 self.episodes.append(self._running[i])
             self._running[i].controls.append(self.ctrl[i].copy())
         super().step(ids, nstep)

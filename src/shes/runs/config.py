@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
-from shes.envs.bodies.robot import robot_stem
+from shes.envs.bodies.robot import read_robot, robot_stem
 from shes.envs.external_task import ExternalOptions
 from shes.envs.named_environments import ENVIRONMENTS, ROBOT_ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task import TaskOptions
@@ -165,8 +165,11 @@ class TrainConfig:
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
         found = {name: self._as_json(name) for name, each in self.settings.items() if not each.has(Execution)}
-        if found.get("robot"):
-            found["robot"] = robot_stem(found["robot"])  # a run folder has a copy of the file
+        if robot := found.get("robot"):  # its path is no number: a run folder has a copy of the file
+            try:
+                found["robot"] = read_robot(robot).label
+            except ConfigError:
+                found["robot"] = robot_stem(robot)
         return found
 
     def _as_json(self, name: str) -> Any:

@@ -89,6 +89,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         "scale": task.scale,
         # Offset and factor of each control of the robot's file, for actions in [-1, 1].
         "control_map": None if control_map is None else [each.tolist() for each in control_map],
+        "step_s": task.step_s,
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
         **design.exported(),
     }

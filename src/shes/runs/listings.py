@@ -142,6 +142,7 @@ def describe_run(run: Path | str, *, full: bool = False, card: bool = False) -> 
         state = asdict(run_state(folder))
         facts = {
             **{each: value for each, value in state.items() if each != "problem" or value is not None},
+            **({"robot": config.numbers()["robot"]} if "robot" in config.values else {}),
             "levels": levels,
             "started": record.get("started"),
             "command": " ".join(map(str, record.get("command", []))).replace("__main__.py ", "shes "),

@@ -48,7 +48,7 @@ class Agent:
     ) -> None:
         self.config, self.num_envs = config, num_envs
         task = algorithm.problem.make_task(is_evaluation=True)
-        self._reader, self.observation_size = task.reader, task.observation_size
+        self._reader, self.observation_size, self._scale = task.reader, task.observation_size, task.scale
         task.close()
         self._levels = dict(zip(algorithm.design.networks, levels, strict=True))
         # One policy per environment, so that each has a clock and can be reset separately.
@@ -96,7 +96,7 @@ class Agent:
     def goal(self) -> F64Array | None:
         """The current goals in world coordinates [num_envs, 2] in metres; None for flat S-ES, which has no goals."""
         held = self._agent.goal
-        return None if held is None else held.copy()
+        return None if held is None else held * self._scale
 
     def reset(self, env: int | None = None) -> None:
         """Begin a new episode in environment `env`, or in all: the next `act` sets new goals."""

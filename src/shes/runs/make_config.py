@@ -49,6 +49,8 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
         env = named
         del asked["robot"]
     asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
+    if isinstance(asked.get("robot"), Path):
+        asked["robot"] = str(asked["robot"])
     values = {"env": env, "preset": preset, **preset_values(env, preset, {**own, **asked}), **own, **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
@@ -183,7 +185,7 @@ def brought_settings(level: str, values: Mapping[str, Any], asked: Mapping[str, 
 def _robot(env: str, values: Mapping[str, Any]) -> str:
     found = find_environment(env)
     if env in ROBOT_ENVIRONMENTS:
-        return f"the robot {read_robot(values.get('robot')).name}"
+        return f"the robot {read_robot(values.get('robot')).label}"
     return f"the {found.body.name}" if isinstance(found, Environment) else "an external robot"
 
 

@@ -42,7 +42,8 @@ class Simulator(ABC):
     diverged: BoolArray
     """Whether a simulation has diverged since its reset [N]. MuJoCo has then reset it to a finite state."""
     state_parts: Sequence[F64Array]
-    """qpos, qvel, the solver's warm start [N, nv] and the time [N, 1]: all that a step depends on but the controls."""
+    """qpos, qvel, the solver's warm start [N, nv], the time [N, 1] and, if the model has them, activations, delayed
+    controls and plasticity: all that a step depends on but the controls."""
     physics_s: float = 0.0
     """Wall-clock seconds spent in steps so far; waits for a device."""
 
@@ -108,7 +109,8 @@ class CpuSimulator(Simulator):
         self.qpos, self.qvel, self.ctrl = map(self._batch.bind, ("qpos", "qvel", "ctrl"))
         self._default = self._batch.state[0].copy()
         warmstart, time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
-        self.state_parts = (self.qpos, self.qvel, warmstart, time.reshape(num_sims, 1))
+        others = (self._batch.bind(name).reshape(num_sims, -1) for name in ("act", "history", "plastic"))
+        self.state_parts = (self.qpos, self.qvel, warmstart, time.reshape(num_sims, 1), *filter(np.size, others))
         self._counters = self._batch.warning[:, _DIVERGENCE, 1]  # [N, kinds]
         self.diverged = np.zeros(num_sims, dtype=np.bool_)
 

@@ -45,7 +45,8 @@ def default_sizes(model: mujoco.MjModel) -> tuple[int, int]:
     dimensions = int(model.geom_condim.max(initial=1))
     is_pyramid = model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
     rows = max(1, 2 * (dimensions - 1)) if is_pyramid else dimensions
-    others = int(np.count_nonzero(model.jnt_limited)) + int(np.count_nonzero(model.dof_frictionloss)) + 6 * model.neq
+    single = (model.jnt_limited, model.tendon_limited, model.dof_frictionloss, model.tendon_frictionloss)
+    others = sum(int(np.count_nonzero(each)) for each in single) + 6 * model.neq
     return max(8, 2 * contacts), max(8, rows * contacts + others)
 
 

@@ -152,6 +152,8 @@ class Body(ABC):
     """Elements of the egocentric view, which `write_egocentric` writes; empty without one."""
     home: F64Array | None = None
     """The pose [num_qpos] at a reset; None is the model's own, qpos0."""
+    home_activation: F64Array | None = None
+    """Activations [na] of the actuators at a reset; None is 0."""
     control_map: tuple[F64Array, F64Array] | None = None
     """Offset and factor [A] that make the model's controls from those of a policy; None if they are the same."""
     scale: float = 1.0

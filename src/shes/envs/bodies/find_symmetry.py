@@ -79,9 +79,14 @@ class FoundSymmetry:
         )
 
 
-def find_symmetry(model: mujoco.MjModel, home: F64Array | None = None) -> FoundSymmetry:
-    """Return the symmetry of a body alone in `model`, whose first joint is free; `home` is its pose if not qpos0."""
-    body = _Kinematics(model, home)
+def find_symmetry(
+    model: mujoco.MjModel, home: F64Array | None = None, control_map: tuple[F64Array, F64Array] | None = None
+) -> FoundSymmetry:
+    """Return the symmetry of a body alone in `model`, whose first joint is free.
+
+    `home` is its pose if not qpos0; `control_map` as in `Body` makes controls that the symmetry is to map.
+    """
+    body = _Kinematics(model, home, control_map)
     turns = ((num, found) for num in TURNS if (found := body.element(_rotation(-2 * np.pi / num))) is not None)
     num_turns, turn = next(turns, (1, None))
     return FoundSymmetry(num_turns=num_turns, turn=turn, mirror=body.element(np.diag([1.0, -1.0, 1.0])))
@@ -96,8 +101,13 @@ def _rotation(angle: float) -> F64Array:
 class _Kinematics:
     """Anchors, axes and actuators of a body in its home pose, upright at the origin."""
 
-    def __init__(self, model: mujoco.MjModel, home: F64Array | None) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, home: F64Array | None, control_map: tuple[F64Array, F64Array] | None
+    ) -> None:
         self.model, self.data = model, mujoco.MjData(model)
+        limited = model.actuator_ctrllimited.astype(bool)
+        half = np.where(limited, np.ptp(model.actuator_ctrlrange, axis=1) / 2, 1.0)
+        self.control_map = control_map or (model.actuator_ctrlrange.mean(axis=1), half)
         self.home = np.array(model.qpos0 if home is None else home)
         self.home[:7] = (0, 0, 100, 1, 0, 0, 0)
         self.data.qpos[:] = self.home
@@ -125,7 +135,7 @@ class _Kinematics:
         # `mapped` row i equals, up to its sign, the row of the actuator that i becomes: i is the source of that one.
         source = np.argsort(controls[0])
         residual = self._residual(rotation, joints, (source, controls[1][source]))
-        if residual > TOLERANCE:
+        if not residual <= TOLERANCE:
             return None
         return Element(
             rotation=rotation,
@@ -167,24 +177,25 @@ class _Kinematics:
 
         def accelerations(qpos: F64Array, qvel: F64Array, ctrl: F64Array) -> F64Array:
             mujoco.mj_resetData(model, data)
-            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, ctrl
+            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, middle + half * ctrl
+            data.act[model.actuator_actadr[has_state]] = data.ctrl[has_state]
             mujoco.mj_forward(model, data)
             return data.qacc.copy()
 
-        middle = model.actuator_ctrlrange.mean(axis=1)
-        half = np.where(model.actuator_ctrllimited.astype(bool), np.ptp(model.actuator_ctrlrange, axis=1) / 2, 1.0)
+        middle, half = self.control_map
+        has_state = model.actuator_actnum == 1
         differences = list[float]()
         for _ in range(_NUM_STATES):
             tilt = rng.normal(0, 0.3, 3)
             quaternion = np.array([1.0, *tilt]) / np.sqrt(1 + tilt @ tilt)
             offset, qvel = rng.normal(0, 0.1, len(joints[0])), rng.normal(0, 1.0, model.nv)
-            swing = rng.uniform(-0.5, 0.5, model.nu) * half
+            swing = rng.uniform(-0.5, 0.5, model.nu)
             home = self.home[7:]
             qpos = np.concatenate([self.home[:3], quaternion, home + offset])
             turned = np.concatenate([quaternion[:1], spin @ quaternion[1:]])
             mapped = np.concatenate([self.home[:3], turned, home + offset[joints[0]] * joints[1]])
-            before = accelerations(qpos, qvel, middle + swing)
-            after = accelerations(mapped, image(qvel), middle + swing[controls[0]] * controls[1])
+            before = accelerations(qpos, qvel, swing)
+            after = accelerations(mapped, image(qvel), swing[controls[0]] * controls[1])
             differences.append(float(np.linalg.norm(image(before) - after) / np.linalg.norm(before)))
         return float(np.median(differences))
 

@@ -88,7 +88,7 @@ class FreeBody(Body):
 
     def found_symmetry(self) -> FoundSymmetry:
         """Return the symmetry of the body's model, as `find_symmetry` finds it."""
-        return find_symmetry(self.alone(), self.home)
+        return find_symmetry(self.alone(), self.home, self.control_map)
 
     def alone(self) -> mujoco.MjModel:
         """Return the model of the body without a world."""

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from hashlib import sha256
+from html import unescape
 from pathlib import Path, PurePosixPath
 from typing import Annotated, NamedTuple
 
@@ -23,6 +25,7 @@ from shes.envs.bodies.body import Body
 from shes.envs.bodies.free_body import FreeBody, free_elements
 from shes.errors import ConfigError
 from shes.settings import Example, Ge, Gt, Le, Settings, Shown
+from shes.sim.simulator import log_physics_warnings
 from shes.types import BoolArray, F64Array
 
 MENAGERIE = "menagerie:"
@@ -37,6 +40,7 @@ _MIN_HEIGHT = 0.5  # of the home pose, below which it has fallen
 _FREE_SERVO = 0.5  # rad or m of a position servo without any limit
 _MAX_JOINTS, _MAX_BYTES, _MAX_CLIP = 200, 200_000_000, 100.0
 _PREFIX = "robot/"
+_FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 _PHYSICS = (
     "timestep",
     "integrator",
@@ -48,6 +52,10 @@ _PHYSICS = (
     "noslip_iterations",
     "gravity",
 )
+_MAX_DEPTH = 20
+_MIN_M, _MAX_M, _MAX_KG = 0.01, 100.0, 1e5
+_NAMING = re.compile(r"<(include|model|flexcomp)\b.*?\bfile\s*=\s*([\"'])(.*?)\2", re.DOTALL)
+"""The elements with which XML reads a file before it is checked."""
 _FIX = "Check the file with `python -m mujoco.viewer --mjcf FILE`."
 
 
@@ -74,13 +82,18 @@ class RobotFile(NamedTuple):
     physics: bytes
     """What its physics needs: no shapes that only look good, and no sensors."""
 
+    @property
+    def label(self) -> str:
+        """Name, and the first digits of the SHA-256 of its content: two files of one name may be two robots."""
+        return f"{self.name} ({sha256(self.content).hexdigest()[:8]})"
+
 
 def _spec_of(packed: bytes) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_zip(io.BytesIO(packed))
 
 
 def read_robot(robot: str | None) -> RobotFile:
-    """Return the robot that `robot` names: a file, an archive that `save_robot` wrote, or `menagerie:NAME`."""
+    """Return the robot that `robot` names: a file, an archive of a run folder, or `menagerie:NAME`."""
     if not robot:
         raise ConfigError("which robot? Set --robot to its MJCF file, to menagerie:NAME, or to ant or point.")
     path = _from_menagerie(robot) if robot.startswith(MENAGERIE) else Path(robot).expanduser()
@@ -88,7 +101,7 @@ def read_robot(robot: str | None) -> RobotFile:
         raise ConfigError(f"robot {robot!r} is no file. Set --robot to an MJCF file, menagerie:NAME, ant or point.")
     if path.stat().st_size > _MAX_BYTES:
         raise ConfigError(f"robot {robot!r} has {path.stat().st_size / 1e6:,.0f} MB, more than {_MAX_BYTES / 1e6:.0f}.")
-    return _read(path, path.stat().st_mtime_ns)
+    return _read(path, robot_stem(robot), path.stat().st_mtime_ns)
 
 
 def robot_stem(robot: str) -> str:
@@ -97,25 +110,35 @@ def robot_stem(robot: str) -> str:
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, _changed: int) -> RobotFile:
-    """Read the file at `path`, anew if it has changed."""
+def _read(path: Path, name: str, _changed: int) -> RobotFile:
+    """Read the robot `name` from the file at `path`, anew if that has changed."""
     if path.suffix == ".zip":
         content = path.read_bytes()
-        spec = _unzipped(content, path)
-        model = _compiled(spec, path.stem)
     else:
         spec = _parsed(path)
-        model = _compiled(spec, path.stem)
+        _compiled(spec, name)
         content = _zipped(spec)
-    _reduce_to_physics(spec, model)
-    return RobotFile(path.stem, content, _zipped(spec))
+    spec = _unzipped(content, path)  # XML of MuJoCo is rounded: the physics is the same from the file and from its copy
+    _reduce_to_physics(spec, _compiled(spec, name))
+    return RobotFile(name, content, _zipped(spec))
 
 
 def _unzipped(content: bytes, path: Path) -> mujoco.MjSpec:
     try:
-        return _spec_of(content)
-    except (ValueError, OSError, zipfile.BadZipFile, mujoco.FatalError) as error:
-        raise ConfigError(f"robot {str(path)!r} cannot be read: {' '.join(str(error).split())}.") from error
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            size = sum(each.file_size for each in packed.infolist())
+            texts = [packed.read(name) for name in packed.namelist() if name.endswith(".xml") and size <= _MAX_BYTES]
+        if size > _MAX_BYTES:
+            raise ConfigError(f"it has more than {_MAX_BYTES / 1e6:.0f} MB of files")
+        if any(_NAMING.search(text.decode(errors="replace")) for text in texts):
+            raise ConfigError("its XML includes other files")
+        spec = _spec_of(content)
+        if missing := [name for name in _files(spec) if name not in spec.assets]:
+            raise ConfigError(f"it lacks the file {missing[0]!r}")
+    except (ValueError, OSError, NotImplementedError, RuntimeError, zipfile.BadZipFile, mujoco.FatalError) as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        raise ConfigError(f"robot {str(path)!r} cannot be read: {words}. Give an archive of a run folder.") from error
+    return spec
 
 
 def _from_menagerie(robot: str) -> Path:
@@ -131,41 +154,44 @@ def _from_menagerie(robot: str) -> Path:
             f"MuJoCo Menagerie has no robot {name!r} ({error}). Its names: mujoco_menagerie.names()."
         ) from error
     try:
-        folder = found.path()
+        return found.xml()
     except (mujoco_menagerie.MenagerieError, OSError) as error:
         raise ConfigError(
             f"robot {robot!r} cannot be downloaded: {error}. Check the network, or give a file."
         ) from error
-    return folder
 
 
 def _parsed(path: Path) -> mujoco.MjSpec:
     """Return the spec of the file at `path` with the files that it names; raise ConfigError if it is not sound."""
+    log_physics_warnings()
     try:
         _check_includes(path, path.parent)
         with warnings.catch_warnings(action="ignore"):
             spec = mujoco.MjSpec.from_file(str(path))
-            assets = dict[str, bytes]()
-            textures = [(spec.texturedir, each) for each in spec.textures]
-            for folder, each in [
-                *((spec.meshdir, each) for each in (*spec.meshes, *spec.hfields, *spec.skins)),
-                *textures,
-            ]:
-                if each.file:
-                    name = str(PurePosixPath(folder) / each.file)
-                    assets[name] = _inside(path.parent / name, path.parent).read_bytes()
-            if sum(map(len, assets.values())) > _MAX_BYTES:
-                raise ConfigError(f"robot {str(path)!r} has more than {_MAX_BYTES / 1e6:.0f} MB of files. Simplify it.")
-            spec.assets = assets
+            files = {name: _inside(path.parent / name, path.parent) for name in _files(spec)}
+        if sum(file.stat().st_size for file in files.values()) > _MAX_BYTES:
+            raise ConfigError(f"it has more than {_MAX_BYTES / 1e6:.0f} MB of files")
+        spec.assets = {name: file.read_bytes() for name, file in files.items()}
     except (ValueError, OSError, RecursionError, mujoco.FatalError) as error:
         words = " ".join(str(error).split()).rstrip(".")
         raise ConfigError(f"robot {str(path)!r} cannot be read: {words}. {_FIX}") from error
     return spec
 
 
+def _files(spec: mujoco.MjSpec) -> list[str]:
+    """Return the paths of the files that `spec` names, relative to its own folder."""
+    named = [(spec.meshdir, each.file) for each in (*spec.meshes, *spec.hfields, *spec.skins)]
+    named += [(spec.texturedir, file) for each in spec.textures for file in (each.file, *each.cubefiles)]
+    return list(dict.fromkeys(str(PurePosixPath(folder) / file) for folder, file in named if file))
+
+
 def _zipped(spec: mujoco.MjSpec) -> bytes:
-    packed = io.BytesIO()
-    spec.to_zip(packed)
+    """Return an archive of `spec` with the files that it names alone; `MjSpec.to_zip` writes all it once had."""
+    packed, names = io.BytesIO(), _files(spec)
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name in names:
+            archive.writestr(zipfile.ZipInfo(name), spec.assets[name])
+        archive.writestr(zipfile.ZipInfo("robot.xml"), spec.to_xml())
     return packed.getvalue()
 
 
@@ -177,34 +203,36 @@ def _reduce_to_physics(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         body.ipos, body.iquat = own.ipos, own.iquat
     for part in [*spec.sensors, *spec.skins, *spec.lights, *spec.cameras]:
         spec.delete(part)
-    for geom in list(spec.geoms):
-        if not geom.contype and not geom.conaffinity:
-            spec.delete(geom)
+    wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    named = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist(), *model.wrap_objid[wraps].tolist()}
+    for geom in [each for each in spec.geoms if not (each.contype or each.conaffinity or each.id in named)]:
+        spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     unused = [*spec.textures, *(mesh for mesh in spec.meshes if mesh.name not in used)]
     for part in unused:
         spec.delete(part)
-    files = {mesh.file for mesh in spec.meshes}
-    spec.assets = {name: data for name, data in spec.assets.items() if any(name.endswith(file) for file in files)}
-    spec.compile()
+    _compiled(spec, spec.modelname)
 
 
 def _inside(file: Path, folder: Path) -> Path:
     """Return `file`; raise ConfigError if it is not in `folder` or below it, links followed."""
     if not file.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError(f"the robot names {str(file)!r}, which is not below its own folder. Copy it there.")
+        raise ConfigError(f"it names {str(file)!r}, which is not below its own folder; copy it there")
     return file
 
 
 def _check_includes(path: Path, folder: Path, depth: int = 0) -> None:
-    """Raise ConfigError if the file at `path` includes one outside `folder`, or too many inside each other."""
-    if depth > 20:
-        raise ConfigError(f"robot {str(path)!r} includes itself, or more than 20 files inside each other.")
-    text = path.read_text(encoding="utf-8", errors="replace")
-    for name in re.findall(r"<include[^>]*\bfile\s*=\s*[\"']([^\"']*)", text):
-        _check_includes(_inside(folder / name, folder), folder, depth + 1)
+    """Raise ConfigError if the file at `path` reads one outside `folder`, or too many inside each other."""
+    if depth > _MAX_DEPTH:
+        raise ConfigError(f"it includes itself, or more than {_MAX_DEPTH} files inside each other")
+    for tag, _, name in _NAMING.findall(path.read_text(encoding="utf-8", errors="replace")):
+        # MuJoCo looks in the robot's folder, and then in that of the file which names it.
+        found = [base / unescape(name) for base in (folder, path.parent)]
+        for file in {_inside(each, folder) for each in found if each.exists()}:
+            if tag != "flexcomp":
+                _check_includes(file, folder, depth + 1)
 
 
 class Robot(FreeBody):
@@ -239,13 +267,23 @@ class Robot(FreeBody):
         self.pose, self.velocity, self.egocentric = free_elements(root, joints, kinds)
         self.controls = tuple(self._name(model.actuator(i).name) or f"control_{i}" for i in range(model.nu))
         self.timestep_s = float(model.opt.timestep)
-        self.frame_skip = max(1, round(self.options.control_step / self.timestep_s))
+        if not 0 < self.timestep_s <= self.options.control_step:
+            raise ConfigError(
+                f"control_step is {self.options.control_step:g} s, but the physics step of robot {self.name!r} is "
+                f"{self.timestep_s:g} s. Set --control-step to a multiple of it, or correct the file."
+            )
+        self.frame_skip = round(self.options.control_step / self.timestep_s)
         self.home, extent = self._home_pose(spec, model)
+        self.mass_kg = float(model.body_subtreemass[0])
+        if not (_MIN_M < extent < _MAX_M and 0 < self.mass_kg < _MAX_KG and np.isfinite(self.home).all()):
+            raise ConfigError(
+                f"robot {self.name!r} is {extent:.3g} m large and weighs {self.mass_kg:.3g} kg, not "
+                f"{_MIN_M:g} to {_MAX_M:g} m and up to {_MAX_KG:g} kg. Check its units: metres and kilograms."
+            )
         self._home_angles = [(9 + i, angle) for i, angle in enumerate(self.home[7:].tolist()) if angle]
         self.scale = float(f"{extent / ANT_EXTENT_M:.2g}")
-        self.mass_kg = float(model.body_subtreemass[0])
         self.block_factor = self.mass_kg / ANT_MASS_KG
-        self.control_map = self._driven(model)
+        self.control_map, self.home_activation = self._driven(model)
 
     @classmethod
     def maker(cls, options: Settings) -> Callable[[], Body]:
@@ -266,8 +304,9 @@ class Robot(FreeBody):
             if len(spec.actuators):
                 raise ConfigError(f"robot {self.name!r} has actuators of its own. Omit --motors.")
             torque = self.options.motors
-            for joint in root.find_all("joint"):
+            for number, joint in enumerate(root.find_all("joint")):
                 if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                    joint.name = joint.name or f"joint_{number}"
                     motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
                     motor.set_to_motor()
                     motor.ctrllimited, motor.ctrlrange = True, [-torque, torque]
@@ -276,14 +315,15 @@ class Robot(FreeBody):
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add the robot with its actuators to `spec`, and the physics of its file."""
         child = self._spec()
-        for key in list(child.keys):
-            child.delete(key)
+        for part in [*child.keys, *child.sensors, *child.lights, *child.cameras]:
+            child.delete(part)
         for name in _PHYSICS:
             setattr(spec.option, name, getattr(child.option, name))
+        spec.assets = child.assets
         child.nkey = spec.nkey  # MuJoCo warns where the two specs differ
         child.visual.map.znear, child.visual.map.zfar = spec.visual.map.znear, spec.visual.map.zfar
         for name in dir(spec):
-            if name.startswith("nuser_"):
+            if name.startswith("nuser_") or name in ("njmax", "nconmax", "nstack", "memory"):
                 setattr(child, name, getattr(spec, name))
         spec.worldbody.add_frame(pos=[0, 0, ground_m]).attach_body(_root(child, self.name), _PREFIX, "")
 
@@ -311,7 +351,7 @@ class Robot(FreeBody):
             "time": f"physics step {self.timestep_s:g} s, control step {step:g} s",
             "fallen": f"tilt above {MAX_TILT:g} degrees, or lower than {_MIN_HEIGHT * self.home[2]:.3g} m",
             "symmetry": f"{turns}, {mirror}",
-            "size": f"{self.scale:g} of the ant's: cells of {8 * self.scale:g} m, goals within {4 * self.scale:g} m",
+            "size": f"{self.scale:g} of the ant's: cells of {8 * self.scale:g} m",
         }
 
     def _home_pose(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[F64Array, float]:
@@ -339,21 +379,33 @@ class Robot(FreeBody):
             )
         return home, float((high - low).max())
 
-    def _driven(self, model: mujoco.MjModel) -> tuple[F64Array, F64Array]:
-        """Return offset and factor [A] of the actuators' controls: 0 holds the home pose, ±1 is far from it."""
+    def _driven(self, model: mujoco.MjModel) -> tuple[tuple[F64Array, F64Array], F64Array | None]:
+        """Return offset and factor [A] of the actuators' controls, and the activations of the home pose, if any.
+
+        A control of 0 holds the home pose, ±1 is far from it.
+        """
         data = mujoco.MjData(model)
         data.qpos[:] = self.home
         mujoco.mj_forward(model, data)
         pairs = [self._range(model, i, float(data.actuator_length[i])) for i in range(model.nu)]
         offset, factor = np.array(pairs).T
-        return offset, factor
+        activation = np.zeros(model.na)
+        for i in np.flatnonzero(model.actuator_actnum == 1):
+            gain, (_, stiffness, _) = model.actuator_gainprm[i, 0], model.actuator_biasprm[i, :3]
+            kind, place = mujoco.mjtDyn(model.actuator_dyntype[i]), model.actuator_actadr[i]
+            if kind in _FILTERS:  # it follows the control
+                activation[place] = offset[i]
+            elif kind == mujoco.mjtDyn.mjDYN_INTEGRATOR and stiffness and gain:  # it is the position of a servo
+                activation[place] = -stiffness / gain * data.actuator_length[i]
+        return (offset, factor), activation if model.na else None
 
     def _range(self, model: mujoco.MjModel, i: int, length: float) -> tuple[float, float]:
         """Return offset and factor of actuator `i`, whose joint or tendon has this `length` at home."""
         gain, (_, stiffness, damping) = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i, :3]
         low, high = model.actuator_ctrlrange[i].tolist() if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
         has_bias = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
-        if has_bias and stiffness and gain:  # a position servo
+        is_rate = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        if has_bias and stiffness and gain and not is_rate:  # a position servo
             center, joint = -stiffness / gain * length, int(model.actuator_trnid[i, 0])
             is_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
             if not np.isfinite(low) and is_joint and model.jnt_limited[joint]:
@@ -365,7 +417,7 @@ class Robot(FreeBody):
         if not np.isfinite(low) and model.actuator_forcelimited[i] and gain:
             low, high = (model.actuator_forcerange[i] / abs(gain)).tolist()
         if not np.isfinite(low):
-            kind = "velocity servo" if has_bias and damping else "motor"
+            kind = "velocity servo" if is_rate or (has_bias and damping) else "motor"
             raise ConfigError(
                 f"actuator {self.controls[i]!r} of robot {self.name!r}, a {kind}, has no ctrlrange and no forcerange. "
                 "Give it one in the file."
@@ -397,11 +449,11 @@ def _root(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
 
 def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64Array, F64Array]:
     """Return the corners [3] of a box around what collides, in the pose of `data`."""
-    collides = (model.geom_contype | model.geom_conaffinity).astype(bool) & (model.geom_bodyid > 0)
+    collides = ((model.geom_contype | model.geom_conaffinity) & 1).astype(bool) & (model.geom_bodyid > 0)
     turn = data.geom_xmat[collides].reshape(-1, 3, 3)
     centre, half = model.geom_aabb[collides, :3], model.geom_aabb[collides, 3:]
     middle = data.geom_xpos[collides] + (turn @ centre[:, :, None])[:, :, 0]
     reach = (np.abs(turn) @ half[:, :, None])[:, :, 0]
     if not len(middle):
-        raise ConfigError("nothing of the robot collides, so it falls through the floor. Give its feet geoms.")
+        raise ConfigError("nothing of the robot collides with the floor (contype 1). Give its feet such geoms.")
     return (middle - reach).min(axis=0), (middle + reach).max(axis=0)

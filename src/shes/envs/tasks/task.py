@@ -17,7 +17,7 @@ import numpy as np
 from shes.envs.bodies.body import Body, ObservationElement, elements
 from shes.envs.episode_batch import EpisodeBatch, Reader
 from shes.envs.worlds import ARENA, INTEGRATORS, SCALE, Grid, add_grid, empty_world
-from shes.errors import ShapeError, UnknownNameError
+from shes.errors import ConfigError, ShapeError, UnknownNameError
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Unasked
 from shes.sim.simulator import CpuSimulator, Simulator
 from shes.streams import EpisodePurpose, stream
@@ -148,6 +148,8 @@ class Task(EpisodeBatch):
         self._control_map = body.control_map and tuple(self.xp.asarray(each) for each in body.control_map)
         self.observation_names = tuple(element.name for element in self.observation_spec)
         self.observation_size = len(self.observation_names)
+        if twice := next((name for name in self.observation_names if self.observation_names.count(name) > 1), None):
+            raise ConfigError(f"two observed values of {body.name}-{self.name} are named {twice!r}. Rename the joint.")
         own = [self.observation_names.index(element.name) for element in (*body.pose, *body.velocity)]
         self.proprioception, self.primitive_view = np.array(own), np.arange(self.observation_size)
         self.position_columns = self.proprioception[:2]
@@ -320,3 +322,5 @@ class Task(EpisodeBatch):
         xp, rows = self.xp, self.xp.asarray(ids)
         self.sim.qpos[rows, : robot.num_qpos] = xp.asarray(qpos)
         self.sim.qvel[rows, : robot.num_qvel] = xp.asarray(np.array([velocity for _, velocity in drawn]))
+        if robot.home_activation is not None:
+            self.sim.state_parts[4][rows] = xp.asarray(robot.home_activation)
