@@ -42,7 +42,7 @@ class FakeTask:
         self.age, self.heading = np.zeros(num_episodes, int), np.zeros(num_episodes)
         self.position, self.wind = np.zeros((2, num_episodes, 2))
         self.reward, self.running_return = np.zeros((2, num_episodes))
-        self.diverged, self.has_ended, self.observes_nan = np.zeros((3, num_episodes), bool)
+        self.diverged, self.has_ended, self.observes_nan, self.truncated = np.zeros((4, num_episodes), bool)
 
     @property
     def terminated(self):
