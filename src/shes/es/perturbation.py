@@ -93,9 +93,20 @@ def member_signs(
         learns: Whether each level learns. A level that does not is never perturbed.
         generation: Number of updates so far.
     """
+    check_population_size(perturbation, mirrored, population_size, learns)
     parts = PERTURBATIONS.find(perturbation)(generation, np.flatnonzero(learns).tolist())
-    levels, rows = len(parts[0]), MIRRORINGS.find(mirrored)(len(parts[0]))
-    members, whole = len(rows), len(rows) * len(parts)
+    rows = MIRRORINGS.find(mirrored)(len(parts[0]))
+    signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)
+    for levels, part in zip(parts, np.split(signs, len(parts)), strict=True):
+        part[:, :, levels] = rows
+    return signs
+
+
+def check_population_size(perturbation: str, mirrored: str, population_size: int, learns: Sequence[bool]) -> None:
+    """Raise ConfigError unless the members fill whole groups; nothing of the population's size is allocated."""
+    parts = PERTURBATIONS.find(perturbation)(0, np.flatnonzero(learns).tolist())
+    levels, members = len(parts[0]), len(MIRRORINGS.find(mirrored)(len(parts[0])))
+    whole = members * len(parts)
     if population_size <= 0 or population_size % whole:
         perturbed = f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
         group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
@@ -106,7 +117,3 @@ def member_signs(
             f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
             f"Set --population-size {lower} or {lower + whole}."
         )
-    signs = np.zeros((population_size // members, members, len(learns)), dtype=np.int8)
-    for own, part in zip(parts, np.split(signs, len(parts)), strict=True):
-        part[:, :, own] = rows
-    return signs

@@ -16,7 +16,7 @@ from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, StrategyState, UpdateRule, draw_noise_index, perturb, update_level
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import Signs, member_signs
+from shes.es.perturbation import Signs, check_population_size, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.settings import Ge, Gt, checked
 from shes.types import F32Array, F64Array, IntArray, is_whole
@@ -80,7 +80,7 @@ class EvolutionStrategy:
             shaping=FITNESS_SHAPINGS.find(fitness_shaping)(),
             optimizer=OPTIMIZERS.find(optimizer)(),
         )
-        member_signs(perturbation, mirrored, population_size, [True] * len(dims), 0)  # checks the population size
+        check_population_size(perturbation, mirrored, population_size, [True] * len(dims))
         self.table = NoiseTable.open(noise_table_size, max(self.dims))
         self.state = self._start(initial, seed) if state is None else state
         if tuple(len(level.theta) for level in self.state.levels) != self.dims:

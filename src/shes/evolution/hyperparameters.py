@@ -13,7 +13,7 @@ from shes.envs.named_environments import find_environment
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import MIRRORINGS, member_signs
+from shes.es.perturbation import MIRRORINGS, check_population_size
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate
 from shes.evolution.evolution_settings import HierarchySettings
@@ -152,7 +152,7 @@ def _check_population(settings: Any) -> None:
             f"has {members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
         )
     perturbation = settings.values.get("perturbation", HierarchySettings.perturbation)
-    member_signs(perturbation, evolution.mirrored, evolution.population_size, levels, 0)  # checks that groups are whole
+    check_population_size(perturbation, evolution.mirrored, evolution.population_size, levels)
 
 
 def _check_frames(settings: Any) -> None:
