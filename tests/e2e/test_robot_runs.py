@@ -141,7 +141,7 @@ REFUSED = {
     "a folder": (["gather", "--robot", "."], "robot '.' is no file"),
     "of an environment with its own": (
         ["ant-gather", "--robot", "r.xml"],
-        "robot is not a setting of a run of ant-gather",
+        "Name the task: gather --robot",
     ),
     "motors twice": (["flagrun", "--robot", "r.xml", "--motors", "3"], "Omit --motors"),
     "lying": (["flagrun", "--robot", "lying.xml"], "lies in its home pose"),
@@ -167,6 +167,8 @@ def test_the_command_says_what_it_understood(robot, capsys):
     assert facts["root"].startswith("trunk, 12 joints")
     assert main(["envs", "--robot", str(robot)]) == 0
     assert all(f"{name}: {text}" in capsys.readouterr().out for name, text in list(facts.items())[:1])
+    assert main(["envs", "--robot", "ant"]) == 2
+    assert "comes with SHES" in capsys.readouterr().err
 
 
 def test_a_run_names_its_robot(trained, capsys):

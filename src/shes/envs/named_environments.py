@@ -230,6 +230,8 @@ def list_environments(
         control_step: Seconds of a control step.
         robot_keyframe: Keyframe of the file that is the home pose.
     """
+    if robot is not None and with_robot("gather", robot) != "gather":
+        raise ConfigError(f"robot {robot!r} comes with SHES, as in {robot}-gather: `shes envs` lists it. Name a file.")
     if robot is not None:
         options = RobotOptions(robot=robot, motors=motors, control_step=control_step, robot_keyframe=robot_keyframe)
         facts = Robot(options).describe()

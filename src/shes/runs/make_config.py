@@ -14,6 +14,7 @@ from typing import Any
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
 from shes.envs.bodies.robot import RobotOptions, read_robot
 from shes.envs.external_task import ExternalEnvironment
+from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
@@ -48,6 +49,9 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
     if named != env:
         env = named
         del asked["robot"]
+    elif asked.get("robot") is not None and env in BUILTIN_ENVIRONMENTS:
+        task = env.partition("-")[2]
+        raise ConfigError(f"{env} has its own robot, got robot {asked['robot']!r}. Name the task: {task} --robot …")
     asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
     if isinstance(asked.get("robot"), Path):
         asked["robot"] = str(asked["robot"])
