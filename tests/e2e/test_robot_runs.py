@@ -15,6 +15,7 @@ import shes
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError
 from shes.runs.make_config import make_config
+from shes.viewing.playback import Playback
 from tests.e2e import runs
 from tests.envs.robot_files import ASSETS, walker
 
@@ -191,3 +192,11 @@ def test_pictures_show_a_robot_at_its_scale(robot, env):
         assert np.median(picture) < 240  # the robot's own light is off
     assert shares[0] == pytest.approx(shares[1], rel=0.7)
     assert shares[0] > 0.002
+
+
+def test_the_goal_is_drawn_where_the_task_has_it(trained):
+    played = Playback(trained, "last")
+    step = next(played.play(3))
+    discs = [each.position[:2] for each in step.markers if each.shape == "disc"]
+    assert_allclose(discs[-1], played.task.markers(0)[0].position[:2])
+    played.task.close()

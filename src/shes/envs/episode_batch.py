@@ -131,7 +131,7 @@ class EpisodeBatch(ABC):
     @property
     @abstractmethod
     def position(self) -> F64Array:
-        """Robots' positions [N, 2] in metres."""
+        """Robots' positions [N, 2], in multiples of `scale`: metres, but for a robot from a file."""
 
     @property
     @abstractmethod

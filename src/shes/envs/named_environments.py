@@ -225,7 +225,7 @@ def list_environments(
     shes envs --robot robot.xml
 
     Args:
-        robot: The robot's MJCF or URDF file, or menagerie:NAME: describe it instead.
+        robot: The robot's MJCF file, or menagerie:NAME: describe it instead.
         motors: Largest torque of a motor at each joint, for a file without actuators.
         control_step: Seconds of a control step.
         robot_keyframe: Keyframe of the file that is the home pose.

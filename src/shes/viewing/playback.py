@@ -102,7 +102,7 @@ class Playback:
         places = [(*place, height) for place in trail]
         way = [Marker("line", start, _LINE_RADIUS_M, TRAIL, stop) for start, stop in pairwise(places)]
         spot = Marker("disc", places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
-        goals = [] if self.goal is None else [(*self.goal, height)]
+        goals = [] if self.goal is None else [(*(self.goal / task.scale), height)]
         to_goal = [Marker("line", places[-1], _LINE_RADIUS_M / 2, GOAL, goal) for goal in goals]
         to_goal += [Marker("disc", goal, _GOAL_RADIUS_M, GOAL) for goal in goals]
         facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", end)

@@ -1,4 +1,4 @@
-"""What bodies with a free joint share: heading, tilt, egocentric view, and the symmetry that their model shows."""
+"""Bodies with a free joint: heading, tilt, egocentric view, and the symmetry of their model."""
 
 from __future__ import annotations
 

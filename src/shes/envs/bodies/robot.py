@@ -64,7 +64,7 @@ class RobotOptions(Settings):
     """The robot and how it is driven."""
 
     robot: Annotated[str, Shown(everyday=True), Example("robot.xml")] | None = None
-    """Robot: its MJCF or URDF file; menagerie:NAME (extra robots); or ant or point, which come with SHES."""
+    """Robot: its MJCF file; menagerie:NAME (extra robots); or ant or point, which come with SHES."""
     motors: Annotated[float | None, Gt(0)] = None
     """Largest torque of a motor at each joint, for a robot whose file has no actuators."""
     control_step: Annotated[float, Ge(0.001), Le(0.2)] = 0.02
@@ -80,7 +80,7 @@ class RobotFile(NamedTuple):
     content: bytes
     """Everything, to draw the robot."""
     physics: bytes
-    """What its physics needs: no shapes that only look good, and no sensors."""
+    """What its physics needs: all but visual shapes and sensors."""
 
     @property
     def label(self) -> str:

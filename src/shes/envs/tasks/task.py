@@ -218,7 +218,7 @@ class Task(EpisodeBatch):
 
     @property
     def position(self) -> F64Array:
-        """Robots' positions [N, 2] in metres."""
+        """Robots' positions [N, 2]; see `EpisodeBatch.position`."""
         return self.body.position(self.sim.qpos)
 
     @property
