@@ -329,6 +329,9 @@ REFUSED = {
     "motors twice": (PLAIN, {"motors": 2.0}, "has actuators of its own. Omit --motors"),
     "a short control step": (PLAIN, {"control_step": 0.004}, "control_step is 0.004 s, but the physics step .* 0.005"),
     "no time step": (PLAIN.replace('timestep="0.005"', 'timestep="0"'), {}, "the physics step .* is 0 s"),
+    "a million steps": (PLAIN.replace("0.005", "1e-9", 1), {}, "1e-09 s. Set --control-step to 1 to 1000 times it"),
+    "no UTF-8": (PLAIN.replace('name="a"', 'name="\udcfc"').replace('joint="a"', 'joint="\udcfc"'), {}, "not UTF-8"),
+    "nobody's home": ("", {"robot": "~nobody-here/robot.xml"}, "'~nobody-here/robot.xml' is no file"),
     "include above": (mjcf(before='<include file="../part.xml"/>'), {}, OUTSIDE),
     "include elsewhere": (mjcf(before='<include class=">" file="&#47;etc/hostname"/>'), {}, OUTSIDE),
     "include by a link": (mjcf(before='<include file="link.xml"/>'), {}, OUTSIDE),
@@ -361,10 +364,10 @@ def strangers(tmp_path):
 @pytest.mark.parametrize(("text", "options", "message"), REFUSED.values(), ids=REFUSED)
 def test_a_file_that_cannot_be_driven_is_one_clear_line(strangers, monkeypatch, text, options, message):
     monkeypatch.chdir(strangers)
-    (strangers / "robot.xml").write_text(text)
+    (strangers / "robot.xml").write_text(text, errors="surrogateescape")
     before = sorted(strangers.iterdir())
     with pytest.raises(ConfigError, match=message) as error:
-        Robot(RobotOptions(robot="robot.xml", **options))
+        Robot(RobotOptions(**{"robot": "robot.xml", **options}))
     assert "\n" not in str(error.value)
     assert sorted(strangers.iterdir()) == before
 

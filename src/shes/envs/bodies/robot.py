@@ -10,6 +10,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -39,6 +40,7 @@ _MIN_COS_TILT = float(np.cos(np.deg2rad(MAX_TILT)))
 _MIN_HEIGHT = 0.5  # of the home pose, below which it has fallen
 _FREE_SERVO = 0.5  # rad or m of a position servo without any limit
 _MAX_JOINTS, _MAX_BYTES, _MAX_CLIP = 200, 200_000_000, 100.0
+_MAX_STEPS = 1000  # physics steps in a control step: one call, which nothing interrupts
 _PREFIX = "robot/"
 _FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 _PHYSICS = (
@@ -96,7 +98,9 @@ def read_robot(robot: str | None) -> RobotFile:
     """Return the robot that `robot` names: a file, an archive of a run folder, or `menagerie:NAME`."""
     if not robot:
         raise ConfigError("which robot? Set --robot to its MJCF file, to menagerie:NAME, or to ant or point.")
-    path = _from_menagerie(robot) if robot.startswith(MENAGERIE) else Path(robot).expanduser()
+    path = _from_menagerie(robot) if robot.startswith(MENAGERIE) else Path(robot)
+    with suppress(RuntimeError):  # there is no such user
+        path = path.expanduser()
     if not path.is_file():
         raise ConfigError(f"robot {robot!r} is no file. Set --robot to an MJCF file, menagerie:NAME, ant or point.")
     if path.stat().st_size > _MAX_BYTES:
@@ -188,10 +192,15 @@ def _files(spec: mujoco.MjSpec) -> list[str]:
 def _zipped(spec: mujoco.MjSpec) -> bytes:
     """Return an archive of `spec` with the files that it names alone; `MjSpec.to_zip` writes all it once had."""
     packed, names = io.BytesIO(), _files(spec)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            text = spec.to_xml()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"a name in the robot's file is not UTF-8: {error.object!r}. Save it as UTF-8.") from error
     with zipfile.ZipFile(packed, "w") as archive:
         for name in names:
             archive.writestr(zipfile.ZipInfo(name), spec.assets[name])
-        archive.writestr(zipfile.ZipInfo("robot.xml"), spec.to_xml())
+        archive.writestr(zipfile.ZipInfo("robot.xml"), text)
     return packed.getvalue()
 
 
@@ -267,10 +276,10 @@ class Robot(FreeBody):
         self.pose, self.velocity, self.egocentric = free_elements(root, joints, kinds)
         self.controls = tuple(self._name(model.actuator(i).name) or f"control_{i}" for i in range(model.nu))
         self.timestep_s = float(model.opt.timestep)
-        if not 0 < self.timestep_s <= self.options.control_step:
+        if not self.options.control_step / _MAX_STEPS <= self.timestep_s <= self.options.control_step:
             raise ConfigError(
                 f"control_step is {self.options.control_step:g} s, but the physics step of robot {self.name!r} is "
-                f"{self.timestep_s:g} s. Set --control-step to a multiple of it, or correct the file."
+                f"{self.timestep_s:g} s. Set --control-step to 1 to {_MAX_STEPS} times it, or correct the file."
             )
         self.frame_skip = round(self.options.control_step / self.timestep_s)
         self.home, extent = self._home_pose(spec, model)
