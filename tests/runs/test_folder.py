@@ -5,12 +5,13 @@ import fcntl
 import json
 import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import shes
-from shes.errors import RunFolderError
+from shes.errors import ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.listings import run_state
 from tests.e2e import runs
@@ -110,14 +111,34 @@ def test_a_symbolic_link_to_the_run_folder_or_in_it_is_followed(tmp_path, run_co
     assert shes.resume(tmp_path / "link", generations=5).generation == 5
 
 
+@pytest.mark.parametrize("left", [Path.unlink, lambda path: path.unlink() or path.mkdir()], ids=["none", "a folder"])
+def test_a_run_that_lost_its_record_is_no_run_folder(run_copy, left):
+    left(run_copy / "config.json")
+    assert RunFolder.below(run_copy.parent) == []
+    with pytest.raises(RunFolderError, match=r"is not a run folder: it has no config\.json\. Give the folder"):
+        shes.resume(run_copy)
+
+
+@pytest.mark.parametrize("run", [None, 3, "", b"runs/a"])
+def test_what_can_be_no_run_is_refused_by_its_value(run):
+    with pytest.raises(ConfigError, match=rf"a run must be the path .*, got {re.escape(repr(run))}\."):
+        shes.load(run)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("[" * 100_000, "cannot be read"),
         ('{"format": 2, "config": []}', "is damaged: "),
         ('{"format": 2, "config": {"run": 1}}', "is damaged: "),
+        ('{"format": 2, "config": {}, "versions": []}', "is damaged: one of resumed, config, versions, "),
+        (
+            '{"format": 2, "config": {}, "resumed": [{"command": null}]}',
+            "is damaged: one of resumed, config, versions, ",
+        ),
+        ('{"format": 2, "config": {}, "resumed": [1]}', "is damaged: one of resumed, config, versions, "),
     ],
-    ids=["too deep", "a list", "a number"],
+    ids=["too deep", "a list", "a number", "versions", "command", "resumed"],
 )
 def test_a_record_that_no_run_writes_is_one_clear_error(run_copy, text, message):
     path = run_copy / "config.json"

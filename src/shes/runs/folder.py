@@ -31,6 +31,8 @@ _FORMAT = 2
 _LOCK_S = 0.5
 """How long a lock is waited for: a list of runs takes it for a moment."""
 _PACKAGES = ("shes", "mujoco", "numpy")
+_KINDS = {"config": dict, "versions": dict, "device": dict, "command": list}
+"""Types in the record, and in each entry of its list `resumed`."""
 
 
 class RunFolder:
@@ -88,7 +90,7 @@ class RunFolder:
             if len(below) == 1:
                 what, which = "no run folder, but there is one below it", ""
             raise RunFolderError(f"{path} is {what}: give {which}{below[0].path}.")
-        if folder._lock.exists():
+        if folder._lock.exists() and not folder.progress.exists():
             raise RunFolderError(
                 f"{path} holds a run that was stopped before it began. Begin it again by the same command."
             )
@@ -100,7 +102,7 @@ class RunFolder:
     @classmethod
     def below(cls, path: Path) -> list[RunFolder]:
         """Return the run folders below `path` in natural order, without other programs' folders with a config.json."""
-        found = [cls(file.parent) for file in path.glob("**/config.json")]
+        found = [cls(file.parent) for file in path.glob("**/config.json") if file.is_file()]
         known = [folder for folder in found if folder.checkpoints.is_dir() or folder.progress.is_file()]
         return sorted(known, key=lambda folder: _natural(folder.path))
 
@@ -145,6 +147,15 @@ class RunFolder:
                 f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
                 "printed; a run of another version of SHES needs that version."
             )
+        resumed = record.get("resumed", [])
+        for part in [record, *resumed] if isinstance(resumed, list) else [None]:
+            if not isinstance(part, dict) or not all(
+                isinstance(part.get(key, own()), own) for key, own in _KINDS.items()
+            ):
+                raise RunFolderError(
+                    f"{self.config} is damaged: one of resumed, {', '.join(_KINDS)} is not what a run writes. Restore "
+                    "it from a copy."
+                )
         return record
 
     def read_config(self) -> TrainConfig:

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Self
 
-from shes.errors import RunFolderError, UnknownNameError, nearest_first
+from shes.errors import ConfigError, RunFolderError, UnknownNameError, nearest_first
 
 AGENTS = Path(str(files("shes") / "shipped"))
 """Folder of the shipped agents."""
@@ -110,6 +110,8 @@ def find_run(run: Path | str) -> Path:
     Only a string can be a name. An existing path takes precedence over a name; `./name` and a `pathlib.Path` are
     always paths.
     """
+    if not isinstance(run, str | os.PathLike) or not os.fspath(run):
+        raise ConfigError(f"a run must be the path of its folder, or the name of a shipped agent, got {run!r}.")
     is_name = isinstance(run, str) and run in shipped_names() and not os.path.lexists(run)
     return AGENTS / run if is_name else Path(run)
 
