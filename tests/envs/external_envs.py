@@ -1,5 +1,7 @@
 """Small external environments, with all kinds of spaces that Gymnasium allows."""
 
+import sys
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -57,6 +59,8 @@ class Car(gymnasium.Env):
         fault = self.fault if self.age > 1 else ""
         if fault == "step":
             raise RuntimeError("no\n  fuel")
+        if fault == "exit":
+            sys.exit(3)
         if fault == "where":
             del info["where"]
         observation |= {"pose": np.zeros(5)} if fault == "shape" else {}

@@ -350,6 +350,7 @@ def test_options_that_do_not_fit_are_refused(settings, message, tmp_path):
     [
         ("reset", r"cannot reset: RuntimeError: no fuel"),
         ("step", r"cannot step: RuntimeError: no fuel"),
+        ("exit", r"cannot step: SystemExit: 3"),
         ("shape", r"cannot step: its observation must be one of Dict\(.*\), got {'pose': array\(\[0.*, 'gear': .*"),
         ("scalar", r"cannot step: its observation must be one of Dict\(.*\), got np.float64\(1.0\)\."),
         ("unpaid", r"cannot step: its reward must be a number, got None\."),

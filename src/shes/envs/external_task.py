@@ -269,7 +269,7 @@ class ExternalEnvironment:
         """Close an environment; an error of its own is logged, because nothing depends on it any more."""
         try:
             env.close()
-        except Exception as error:  # noqa: BLE001 - of the user's code
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - of the user's code
             _LOG.warning("%s cannot be closed: %s: %s", self.name, type(error).__name__, error)
 
     @contextmanager
@@ -277,7 +277,7 @@ class ExternalEnvironment:
         """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error> (<file>:<line>)"."""
         try:
             yield
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError | ModuleNotFoundError))
             told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
             if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
