@@ -2,6 +2,7 @@
 
 import io
 import os
+import signal
 import subprocess
 import sys
 
@@ -111,3 +112,12 @@ def test_a_run_with_closed_streams_goes_on(tmp_path):
     done = subprocess.run(words, capture_output=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
     assert runs.state(tmp_path / "run").generation == 2
+
+
+def test_sigterm_ends_a_drawing_as_ctrl_c_does(monkeypatch, capsys):
+    def draw(on_step=None):
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("shes.viewing.render.render", draw)
+    assert main(["render"]) == INTERRUPTED
+    assert capsys.readouterr().err == "Interrupted.\n"

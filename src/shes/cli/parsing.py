@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from shes.cli.program import COMMANDS, TERMINATED, find_command
+from shes.cli.program import COMMANDS, find_command
 from shes.console import LineConsole
 from shes.envs.named_environments import (
     ENVIRONMENTS,
@@ -102,7 +102,7 @@ def _command(name: str, function: Callable[..., Any], env: str, words: Sequence[
 @contextmanager
 def _steps_shown() -> Iterator[dict[str, Callable[[int, int], None]]]:
     """Yield `on_step`, which shows the progress of a drawing in a terminal. SIGTERM lets it remove its files."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # no SystemExit: that may be an environment's own
     with drawing_progress(LineConsole(stderr=True)) as on_step:
         yield {"on_step": on_step}
 

@@ -35,8 +35,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Function of every command, below `shes`, and its line in the overview."""
 EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 """Flags of every command."""
-INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
-"""Exit codes after Ctrl-C, if the reader of the output has gone, and after SIGTERM."""
+INTERRUPTED, BROKEN_PIPE = 130, 141
+"""Exit codes after Ctrl-C or SIGTERM, and if the reader of the output has gone."""
 _LEAST_COLUMNS = 20  # tables and help need some width
 
 _OVERVIEW = """\
