@@ -7,8 +7,8 @@ Source: SHES paper, II-D.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
@@ -22,7 +22,7 @@ from shes.runs.build import OpenedRun, check_asked_device, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
-from shes.runs.shipped import run_text
+from shes.runs.shipped import find_run
 from shes.settings import flag, setting_fields
 
 
@@ -52,9 +52,7 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
     elif asked.get("robot") is not None and env in BUILTIN_ENVIRONMENTS:
         task = env.partition("-")[2]
         raise ConfigError(f"{env} has its own robot, got robot {asked['robot']!r}. Name the task: {task} --robot …")
-    asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
-    if isinstance(asked.get("robot"), Path):
-        asked["robot"] = str(asked["robot"])
+    asked = {name: os.fspath(value) if isinstance(value, os.PathLike) else value for name, value in asked.items()}
     values = {"env": env, "preset": preset, **preset_values(env, preset, {**own, **asked}), **own, **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
@@ -71,7 +69,8 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
 def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings `old` of run `like`, but its seed, that are not those of its preset.
 
-    Raise ConfigError if a run of `env` with the algorithm in `asked`, if any, has no such setting.
+    Raise ShesError if a run of `env` with the algorithm in `asked`, if any, has no such setting, or if the run from
+    which `like` took a level is not there.
     """
     run = old.run
     usual = TrainConfig.of(env=run.env, preset=run.preset, **preset_values(run.env, run.preset, old.values)).values
@@ -83,6 +82,14 @@ def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any
             f"{name} is {own[name]!r} in {like}, but it is not a setting of a run of {env} with algorithm "
             f"{algorithm!r}. Omit --like, and give the settings that you want to keep."
         )
+    for level in old.algorithm.transfers:
+        if level in asked:  # another one, with a checkpoint of its own
+            own.pop(f"{level}_checkpoint", None)
+        elif level in own and not RunFolder(find_run(own[level])).config.is_file():
+            raise RunFolderError(
+                f"{like} took its {level} from {own[level]}, which is not here. Name another one, such as "
+                f"{flag(level)} {like}, or set {flag(level)} none to begin without."
+            )
     return {**own, "algorithm": run.algorithm}
 
 

@@ -127,26 +127,23 @@ class RunsFolder:
     @property
     def left(self) -> list[str]:
         """The runs that have not ended, in order."""
-        return [name for name in self.configs if not self._end(name)]
+        return [name for name in self.configs if self._end(name) is None]
 
-    def _end(self, name: str) -> str:
-        """Return the flag of the limit that a run has reached; empty if it has not ended."""
+    def _end(self, name: str) -> str | None:
+        """Return the limit that a run has reached, as a flag that lets it go on; None if it has not ended."""
         folder, run = RunFolder(self.path / name), self.configs[name].run
         try:
             last = folder.load("last", with_state=False)
             if run.is_over(last.generation, last.env_steps):
-                return "--generations"
-            return "--minutes" if run.minutes is not None and trained_minutes(folder) >= run.minutes else ""
+                return f"--generations {2 * run.generations}"
+            return f"--minutes {run.minutes:g}" if run.minutes and trained_minutes(folder) >= run.minutes else None
         except ShesError:  # it has not begun, or is damaged, which shows when it goes on
-            return ""
+            return None
 
     @property
     def how_to_go_on(self) -> str:
-        """The command that goes on with runs of which all have ended."""
-        found = f"shes resume {shlex.quote(str(self.path))}"
-        if late := [name for name in self.configs if self._end(name) == "--minutes"]:
-            return f"{found} --minutes {self.configs[late[0]].run.minutes:g}"
-        return f"{found} --generations {2 * max(config.run.generations for config in self.configs.values())}"
+        """The command that goes on with runs that have ended, those out of time if there are any."""
+        return f"shes resume {shlex.quote(str(self.path))} {max(filter(None, map(self._end, self.configs)))}"
 
     @staticmethod
     def is_at(path: Path | str) -> bool:
@@ -219,8 +216,8 @@ class RunsFolder:
             f"Done: {len(names)} runs, one in each folder below {found}.",
             f"Next: shes plot {found} · shes list {found} · shes evaluate {shlex.quote(str(self.path / names[0]))}",
         ]
-        if late := [name for name in names if self._end(name) == "--minutes"]:
-            parts.insert(1, f"{len(late)} of them stopped with their time. Go on: {self.how_to_go_on}")
+        if "--minutes" in (command := self.how_to_go_on):
+            parts.insert(1, f"Some of them stopped with their time. Go on: {command}")
         return Listing({"runs": names, "errors": errors}, parts, errors)
 
 

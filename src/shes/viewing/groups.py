@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -54,7 +53,7 @@ class Group(NamedTuple):
 
 def read_runs(runs: Path | str | Sequence[Path | str], command: str) -> tuple[list[RunData], dict[str, ShesError]]:
     """Return `runs`, the arguments of `command`, and the errors of those that cannot be read, by name."""
-    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    given = list(runs) if isinstance(runs, Iterable) and not isinstance(runs, str) else [runs]
     if not given:
         raise ConfigError(f"{command} needs at least one run folder: shes {command} RUN...")
     folders = {folder.path.resolve(): folder for each in given for folder in find_runs(each)}

@@ -5,7 +5,6 @@ The frames have captions. The ffmpeg of imageio-ffmpeg encodes .mp4 and .gif.
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -24,6 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 from shes.drawing.make_drawer import Drawer, make_drawer
 from shes.drawing.renderer import Picture
 from shes.errors import ConfigError, StorageError
+from shes.runs.shipped import find_run
 from shes.settings import Ge, Le, Lt, checked, out_of_range
 from shes.storage import write_atomically
 from shes.viewing.playback import Playback
@@ -114,7 +114,7 @@ def _shown(
     runs: Path | str | Sequence[Path | str], checkpoints: str | Sequence[str]
 ) -> list[tuple[Path | str, str, str]]:
     """Return run, checkpoint and label of each column of the video; raise ConfigError if their numbers do not fit."""
-    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    given = list(runs) if isinstance(runs, Iterable) and not isinstance(runs, str) else [runs]
     names = [checkpoints] if isinstance(checkpoints, str) else list(map(str, checkpoints))
     if not given or not names:
         raise ConfigError("render needs at least one run and one checkpoint: shes render RUN... --checkpoint best")
@@ -124,7 +124,7 @@ def _shown(
             f"{len(given)} runs need one checkpoint for all or one for each, got {len(names)}: {', '.join(names)}. "
             "Set --checkpoint."
         )
-    labels = [Path(run).name for run in given] if len(given) > 1 else [""]
+    labels = [find_run(run).name for run in given] if len(given) > 1 else [""]
     if len(set(labels)) < len(set(map(str, given))):  # different runs whose folders have the same name
         labels = list(map(str, given))
     return [(given[i % len(given)], names[i % len(names)], labels[i % len(labels)]) for i in range(count)]
