@@ -269,6 +269,9 @@ def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):
 def test_what_a_run_like_a_shipped_agent_takes():
     config, usual = make_config("ant-maze", None, {"like": "ant-gather"}), make_config("ant-maze")
     assert (config.values["primitive"], config.values["waypoints"]) == ("ant-walker", usual.values["waypoints"])
+    for primitive in ("ant-walker", None):  # what the error below says to give instead
+        values = make_config(None, None, {"like": "ant-walker", "primitive": primitive}).values
+        assert (values["primitive"], values["freeze_primitive"]) == (primitive, False)
 
 
 LIKE = [
@@ -278,7 +281,12 @@ LIKE = [
         {"like": "ant-maze", "algorithm": "es"},
         r"primitive is 'ant-walker' in ant-maze, but it is not a setting of",
     ),
-    (None, {"like": "ant-walker"}, r"--primitive fifth-walker: fifth-walker does not exist"),
+    (
+        None,
+        {"like": "ant-walker"},
+        r"^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set --primitive none to begin",
+    ),
+    (None, {"like": 3}, r"a run must be the path of its folder or the name of a shipped agent, got 3\.$"),
     ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
     ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
     (

@@ -68,9 +68,9 @@ def _value(setting: Setting, text: str) -> Any:
         return None
     reads = {int: int, float: float, bool: {"true": True, "false": False}.__getitem__}
     read = reads.get(setting.item, str)
-    is_tuple, is_empty = setting.kind is tuple, text == "none"
+    words = [] if text == "none" else text.split("x")
     try:
-        value = tuple(read(word) for word in text.split("x") if not is_empty) if is_tuple else read(text)
+        value = tuple(map(read, words)) if setting.kind is tuple else read(text)
     except (KeyError, ValueError) as error:
         raise out_of_range(setting.name, text, setting.allowed, f"--sweep {setting.name}=...") from error
     return setting.checked(value)
@@ -143,7 +143,8 @@ class RunsFolder:
     @property
     def how_to_go_on(self) -> str:
         """The command that goes on with runs that have ended, those out of time if there are any."""
-        return f"shes resume {shlex.quote(str(self.path))} {max(filter(None, map(self._end, self.configs)))}"
+        end = max(filter(None, map(self._end, self.configs)), default="")
+        return f"shes resume {shlex.quote(str(self.path))} {end}"
 
     @staticmethod
     def is_at(path: Path | str) -> bool:

@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from shes.drawing.make_drawer import Drawer, make_drawer
-from shes.drawing.renderer import Picture
+from shes.drawing.renderer import Picture, between
 from shes.errors import ConfigError, StorageError
 from shes.runs.shipped import find_run
 from shes.settings import Ge, Le, Lt, checked, out_of_range
@@ -150,7 +150,7 @@ def _frames(
         frames = round((number + 1) * frames_per_step) - round(number * frames_per_step)
         frames = max(frames, int(step.is_last))
         for frame in range(1, frames + 1):
-            pose = drawer.between(start, step.pose, frame / frames)
+            pose = between(drawer.model, start, step.pose, frame / frames)
             views = [drawer.draw(pose, step.markers, camera) for camera in cameras]
             shown = [captioned(views[0], [step.facts, step.inputs]), *views[1:]]
             yield from repeat(shown, _HELD_FRAMES if step.is_last and frame == frames else 1)

@@ -28,8 +28,7 @@ from shes.runs.shipped import read_agent, shipped_name
 from shes.settings import Ge, Shown, checked
 from shes.storage import write_atomically
 from shes.types import F64Array
-from shes.viewing.curves import confidence_interval
-from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_text
+from shes.viewing.curves import Group, RunData, confidence_interval, group_runs, read_runs, setting_text
 from shes.viewing.render import check_target, render
 from shes.viewing.report_figures import (
     MOST_EPISODES,
