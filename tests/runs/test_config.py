@@ -284,7 +284,7 @@ LIKE = [
     (
         None,
         {"like": "ant-walker"},
-        r"^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set --primitive none to begin",
+        r"^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set --primitive none to beg",
     ),
     (None, {"like": 3}, r"a run must be the path of its folder or the name of a shipped agent, got 3\.$"),
     ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),

@@ -160,21 +160,19 @@ class TrainConfig:
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the settings as JSON types, by section."""
         sections = settings_by_section(self.run).items()
-        return {section: {name: self._as_json(name) for name in settings} for section, settings in sections}
+        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in self.values.items()}
+        return {section: {name: plain[name] for name in settings} for section, settings in sections}
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
-        found = {name: self._as_json(name) for name, each in self.settings.items() if not each.has(Execution)}
+        plain = {name: value for own in self.to_dict().values() for name, value in own.items()}
+        found = {name: plain[name] for name, each in self.settings.items() if not each.has(Execution)}
         if robot := found.get("robot"):  # its path is no number: a run folder has a copy of the file
             try:
                 found["robot"] = read_robot(robot).label
             except ConfigError:
                 found["robot"] = robot_stem(robot)
         return found
-
-    def _as_json(self, name: str) -> Any:
-        value = self.values[name]
-        return list(value) if isinstance(value, tuple) else value
 
     @property
     def algorithm(self) -> type[Algorithm[Any]]:

@@ -197,9 +197,9 @@ def evaluate(
             `constant`, the one with the best score of nine that always set the same goal. A score that these reach as
             well was not learned.
     """
-    execution: dict[str, Any] = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
-    execution |= {"deterministic": deterministic or None}
-    execution = {name: value for name, value in execution.items() if value is not None}
+    given = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
+    given["deterministic"] = deterministic or None
+    execution = {name: value for name, value in given.items() if value is not None}
     if device == "cpu" and RunFolder.open(run).read_config().workers.backend != "serial":
         execution["backend"] = "processes"  # the cluster that trained the run need not be there
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)

@@ -183,13 +183,6 @@ class RunFolder:
         self.write_record(record)
         return changes
 
-    def origin(self) -> dict[str, Any]:
-        """Return what the record of another run keeps of this one, from which it has a level."""
-        if shipped_name(self.path) is not None:  # its name says enough
-            return {}
-        record, levels = self.read_record(), self.read_config().algorithm.transfers
-        return {name: record[name] for name in ("config", *levels) if name in record}
-
     def checkpoint_path(self, name: str | int) -> Path:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")

@@ -22,7 +22,7 @@ from shes.runs.build import OpenedRun, check_asked_device, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
-from shes.runs.shipped import find_run
+from shes.runs.shipped import find_run, shipped_name
 from shes.settings import flag, setting_fields
 
 
@@ -221,11 +221,12 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
                 f"{own.advice}"
             )
         state = own.move(source.state, state)
+        record = source.folder.read_record() if shipped_name(source.folder.path) is None else {}  # its name says enough
         origins[level] = {
             "run": path,
             "env": source.config.run.env,
             "checkpoint": config.values.get(f"{level}_checkpoint", "best"),
             "generation": source.state.generation,
-            **source.folder.origin(),
+            **{name: record[name] for name in ("config", *source.algorithm.transfers) if name in record},
         }
     return state, origins

@@ -12,6 +12,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -116,13 +117,13 @@ def vary(
     return found
 
 
+@dataclass(frozen=True)
 class RunsFolder:
-    """A folder of runs, by their places in it."""
+    """A folder of runs; use `create` or `open`."""
 
-    def __init__(self, path: Path, configs: Mapping[str, TrainConfig]) -> None:
-        """Use `create` or `open`."""
-        self.path = path
-        self.configs = dict(configs)
+    path: Path
+    configs: dict[str, TrainConfig]
+    """The settings of each run by its place in the folder."""
 
     @property
     def left(self) -> list[str]:

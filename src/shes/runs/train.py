@@ -150,24 +150,20 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         progress: Whether to show the progress; only in a terminal or a notebook if None.
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
     """
-    with with_display(listener, progress) as heard:
-        return _resume_run(path, heard, settings)
-
-
-def _resume_run(path: Path | str, listener: AnyListener, settings: dict[str, Any]) -> Run:
-    listeners, folder = listener_methods(listener), RunFolder.open(path)
+    folder = RunFolder.open(path)
     check_resumable(settings)
     config = folder.read_config().having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
-    with folder.lock(), resumable(folder.path):
+    with folder.lock(), resumable(folder.path), with_display(listener, progress) as heard:
         algorithm = build_algorithm(config)
         check_limits(config, algorithm.design)
         checkpoint = folder.load("last")
         _check_unfinished(path, config, checkpoint)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
-        with closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder, _started(algorithm) as workers:
+        recording = closing(Recorder(folder, algorithm, checkpoint, listener_methods(heard)))
+        with recording as recorder, _started(algorithm) as workers:
             changes = folder.record_resume(checkpoint.generation, config)
             return _go_on(recorder, state, workers, changes)
 
@@ -208,7 +204,7 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
         return _run(folder, stored, last)
     now = {name: config.values[name] for name in resumable_settings()}
     changed = {name: value for name, value in now.items() if value != stored.values[name]}
-    return _resume_run(path, listener, {**changed, "minutes": left})
+    return resume(path, listener=listener, progress=False, **{**changed, "minutes": left})
 
 
 def check_resumable(names: Iterable[str]) -> None:
