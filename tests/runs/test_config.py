@@ -308,7 +308,7 @@ ON_WALKER = {"primitive": "ant-walker"}
 FROZEN = r"{name} has no effect on a frozen primitive; got {value}"
 NO_SETTING = r"{name} is not a setting of a run of %s with algorithm '%s', got {value}. Omit --{flag}."
 ONE_PROCESS = r"{name} is '?{value}'?, but one process serves device cuda. Omit --"
-NO_BUFFERS = "{name} is {value}, but the CPU's .* no fixed buffers and always repeats its .*omit --{name}"
+NO_BUFFERS = "{name} has no effect with device 'cpu', got {value}. Set --device to warp-cpu or cuda, or omit --{name}"
 IDLE = [
     # Environment; a setting that has no effect, and others; the message; what helps.
     ("point-gather", {"schedule_generations": 50},

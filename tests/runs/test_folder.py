@@ -96,8 +96,6 @@ def test_a_run_may_begin_where_other_files_or_a_stopped_one_are(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with RunFolder.create(tmp_path).lock():
         pass
-    with pytest.raises(RunFolderError, match=r"was stopped before it began\. Begin it again by the same command"):
-        shes.resume(tmp_path)
     (tmp_path / "checkpoints" / "generation_000000.npz").write_bytes(b"PK")
     assert runs.train_tiny(tmp_path, generations=1) == tmp_path
 

@@ -21,7 +21,7 @@ from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.settings import Choices, Execution, Ge, Gt, Setting, Settings, Shared, Shown
+from shes.settings import Choices, Execution, Ge, Gt, Needs, Setting, Settings, Shared, Shown
 from shes.sim.warp_device import DEVICES
 
 
@@ -65,11 +65,11 @@ class WorkerSettings(Settings):
     """Policies that a worker or a device runs in lockstep; 0 is automatic. Does not affect results on the CPU."""
     device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
     """Device of the physics: cpu, cuda (an NVIDIA GPU; extra gpu) or warp-cpu (extra warp; for tests)."""
-    nconmax: Annotated[int, Ge(1), Execution()] | None = None
+    nconmax: Annotated[int, Ge(1), Execution(), Needs("device", DEVICES)] | None = None
     """Contact buffer of a device, per simulation on average; by default chosen for the environment's model."""
-    njmax: Annotated[int, Ge(1), Execution()] | None = None
+    njmax: Annotated[int, Ge(1), Execution(), Needs("device", DEVICES)] | None = None
     """Constraint buffer of a device, in rows per simulation; by default chosen for the environment's model."""
-    deterministic: Annotated[bool, Execution()] = False
+    deterministic: Annotated[bool, Execution(), Needs("device", DEVICES)] = False
     """Whether a device repeats its results bit by bit; slower. Those of the CPU always repeat."""
 
     @property

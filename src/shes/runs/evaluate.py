@@ -17,8 +17,9 @@ from shes.envs.tasks.task import FallOptions
 from shes.errors import ConfigError
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
 from shes.rollout.roll_out import PopulationResults, lower_diverged, roll_out_tasks
-from shes.runs.build import build_backend, check_asked_device, check_limits, most_episodes, open_run
+from shes.runs.build import build_backend, check_limits, most_episodes, open_run
 from shes.runs.folder import RunFolder
+from shes.runs.make_config import check_effects
 from shes.settings import Ge, checked
 from shes.streams import Purpose, stream
 from shes.types import F64Array, Listing, facts_listing
@@ -209,7 +210,7 @@ def evaluate(
             f"controller is {controller!r}, but {run} has no controller (levels: {', '.join(levels)}), so that only "
             "'trained' is allowed. Omit --controller, or choose a run of two levels."
         )
-    check_asked_device(config, execution)
+    check_effects(config, execution)
     check_limits(config, algorithm.design, is_evaluation=True)
     plan = algorithm.plan()
     if targets == "training":

@@ -88,10 +88,6 @@ class RunFolder:
             if len(below) == 1:
                 what, which = "no run folder, but there is one below it", ""
             raise RunFolderError(f"{path} is {what}: give {which}{below[0].path}.")
-        if folder._lock.exists():
-            raise RunFolderError(
-                f"{path} holds a run that was stopped before it began. Begin it again by the same command."
-            )
         what = "is not a run folder: it has no config.json" if path.exists() else "does not exist"
         raise RunFolderError(
             f"{path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"

@@ -18,7 +18,7 @@ from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
-from shes.runs.build import OpenedRun, check_asked_device, open_run
+from shes.runs.build import OpenedRun, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
@@ -61,8 +61,7 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
         if values.get(level) is not None:
             values |= brought_settings(level, values, asked if level in asked else {**kept, **asked})
     config = TrainConfig.of(**values)
-    check_asked_device(config, asked)
-    _check_effects(config, asked)
+    check_effects(config, asked)
     return config
 
 
@@ -118,9 +117,18 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
     return {name: value for name, value in values.items() if name in settings}
 
 
-def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Raise ConfigError if a setting in `asked` has no effect with the others."""
+def check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Raise ConfigError if a setting in `asked` has no effect with the others.
+
+    Settings that were not asked for may be left from another device, for a run that returns to it.
+    """
     settings, has_own_physics = config.settings, find_environment(config.run.env).has_own_physics
+    for name, usual in (("backend", ("serial",)), ("num_workers", (0, 1))):
+        if config.workers.device != "cpu" and asked.get(name, usual[0]) not in usual:
+            raise ConfigError(
+                f"{name} is {asked[name]!r}, but one process serves device {config.workers.device}. "
+                f"Omit {settings[name].flag}, or set --device cpu."
+            )
     for name in asked:
         setting = settings[name]
         if name in setting_fields(TaskOptions) and has_own_physics:
@@ -150,16 +158,10 @@ def _read(level: str, own: LevelTransfer, values: Mapping[str, Any]) -> OpenedRu
     except RunFolderError as error:
         raise RunFolderError(f"{flag(level)} {path}: {error}") from error
     source = opened.algorithm
-    if level not in source.level_names:
+    if level not in source.level_names or source.transfers.get(level) is not own:
         raise ConfigError(
-            f"{path} has no {level}: its levels are {', '.join(source.level_names)}. Name a run with "
-            f"--{level} that trained one: {own.trained_by}."
-        )
-    if source.transfers.get(level) is not own:
-        names = sorted(name for name, cls in ALGORITHMS.items() if cls.transfers.get(level) is own)
-        raise ConfigError(
-            f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that "
-            f"{' or '.join(names)} trained can be transferred. Name another run with --{level}."
+            f"{path} has no {level} that can be transferred: it was trained by {opened.config.run.algorithm}, and its "
+            f"levels are {', '.join(source.level_names)}. Name a run with --{level} that trained one: {own.trained_by}."
         )
     return opened
 

@@ -93,9 +93,7 @@ def vary(
         raise ConfigError(f"{min(twice)} is both given and swept. Omit one.")
     if not seeds:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
-    for seed in seeds:
-        if seeds.count(seed) > 1:
-            raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")
+    seeds = list(dict.fromkeys(seeds))
     count = len(seeds) * math.prod(map(len, sweep.values()))
     if count > _MOST_RUNS:
         raise ConfigError(f"these are {count:,} runs; at most {_MOST_RUNS:,} are allowed. Sweep fewer values.")

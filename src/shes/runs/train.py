@@ -11,15 +11,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
 from shes.runs.build import (
     build_algorithm,
     build_backend,
-    check_asked_device,
     check_device,
     check_limits,
     most_episodes,
@@ -28,7 +25,7 @@ from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig, known_settings, resumable_settings
 from shes.runs.evaluate import logger
 from shes.runs.folder import RunFolder, checked_out, differing, new_folder
-from shes.runs.make_config import make_config, transfer
+from shes.runs.make_config import check_effects, make_config, transfer
 from shes.runs.progress_display import with_display
 from shes.runs.recorder import AnyListener, Recorder, listener_methods, run_log
 from shes.runs.tables import read_csv, trained_minutes
@@ -100,7 +97,7 @@ def train(
             `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by
             returning True or raising `shes.StopTraining`.
         progress: Whether to show the progress; only in a terminal or a notebook if None.
-        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
+        settings: Any setting by name, e.g. `seed=0, num_workers=4`. Several seeds take a call each.
 
     Raises:
         ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
@@ -110,11 +107,6 @@ def train(
         PolicyError: A policy returned NaN.
         DivergenceError: Every episode of ten generations in a row diverged.
     """
-    if isinstance(settings.get("seed"), list | tuple | range | np.ndarray):
-        raise ConfigError(
-            f"seed must be one number, got {settings['seed']!r}: a call trains one run. Call shes.train for each seed, "
-            "or use the command line: shes train ENV --seed 1 2 3"
-        )
     with with_display(listener, progress) as heard:
         return start_run(make_config(env, preset, {**settings, "like": like}), out, heard)
 
@@ -153,7 +145,7 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
     folder = RunFolder.open(path)
     check_resumable(settings)
     config = folder.read_config().having(**{"minutes": None, **settings})
-    check_asked_device(config, settings)
+    check_effects(config, settings)
     check_device(config)
     with folder.lock(), resumable(folder.path), with_display(listener, progress) as heard:
         algorithm = build_algorithm(config)
@@ -169,7 +161,6 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
 
 
 def _check_unfinished(path: Path | str, config: TrainConfig, checkpoint: Checkpoint) -> None:
-    """Raise ConfigError if the run is over."""
     done, steps, run = checkpoint.generation, checkpoint.env_steps, config.run
     if not run.is_over(done, steps):
         return

@@ -210,7 +210,6 @@ def _divided(items: Sequence[_T], key: Callable[[_T], Any]) -> list[list[_T]]:
 
 
 def _design(run: RunData) -> dict[str, Any]:
-    """Return the preset and the settings of a run that repetitions have in common."""
     return {"preset": run.config.run.preset, **settings_and_seeds(run.folder)[0]}
 
 

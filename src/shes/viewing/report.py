@@ -276,7 +276,6 @@ def _read_plotly() -> str:
 
 
 def _section(title: str, *parts: str) -> str:
-    """Return a section of the page; empty without `parts`."""
     content = "\n".join(filter(None, parts))
     return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>" if content else ""
 
@@ -286,7 +285,6 @@ def _paragraph(text: str, kind: str = "hint") -> str:
 
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table; empty without rows."""
     lines = ["".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows]
     head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
     body = "\n".join(f"<tr>{line}</tr>" for line in lines)
