@@ -229,10 +229,9 @@ def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} is {there.get(name)!r}, not {wanted.get(name)!r}" for name in names[:3])
 
 
-def _natural(path: Path) -> list[tuple[float, str]]:
+def _natural(path: Path) -> list[float | str]:
     """Return a key that orders paths by their numbers: seed-2 before seed-10."""
-    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
-    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]
+    return [float(word) if index % 2 else word for index, word in enumerate(re.split(r"(\d+(?:\.\d+)?)", str(path)))]
 
 
 def provenance(device: str, packages: Iterable[str] = ()) -> dict[str, Any]:

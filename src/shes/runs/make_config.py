@@ -68,8 +68,7 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
 def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings `old` of run `like`, but its seed, that are not those of its preset.
 
-    Raise ShesError if a run of `env` with the algorithm in `asked`, if any, has no such setting, or if the run from
-    which `like` took a level is not there.
+    Raise ShesError if a run of `env` has no such setting, or if the run from which `like` took a level is gone.
     """
     run = old.run
     usual = TrainConfig.of(env=run.env, preset=run.preset, **preset_values(run.env, run.preset, old.values)).values

@@ -24,7 +24,7 @@ from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.evaluate import evaluate_state, evaluation_seeds, logger
 from shes.runs.folder import RunFolder
-from shes.runs.tables import CsvTable, Row, last_value
+from shes.runs.tables import CsvTable, Events, Row, last_value
 from shes.storage import storage_errors
 
 _MOST_DIVERGED = 10
@@ -121,8 +121,6 @@ class Recorder:
         self, folder: RunFolder, algorithm: Algorithm[Any], checkpoint: Checkpoint, listeners: list[ListenerMethods]
     ) -> None:
         """Open the tables and remove the rows after `checkpoint`; raise RunFolderError if a table is damaged."""
-        from shes.runs.tensorboard import Events  # only training needs it, and it is slow to import
-
         self.folder, self.algorithm, self.checkpoint = folder, algorithm, checkpoint
         self._config: TrainConfig = algorithm.problem.settings
         self._listeners, self._is_stopped = listeners, False
@@ -217,8 +215,7 @@ class Recorder:
         save_checkpoint(self.folder.checkpoint_path("last"), checkpoint)
         self.checkpoint = checkpoint
 
-    def _time(self, column: str) -> Row:
-        """Return the cell of the time of the run so far, in seconds."""
+    def _time(self, column: str) -> Row:  # of the run so far, in seconds
         return {column: round(_CLOCKS[column]() - self._starts[column], 3)}
 
     def _tell_event(self, event: str) -> None:
