@@ -276,24 +276,16 @@ def test_what_a_run_like_a_shipped_agent_takes():
 
 LIKE = [
     (None, {"like": "gone"}, r"gone does not exist\. Give the folder that `shes train` printed"),
-    (
-        None,
-        {"like": "ant-maze", "algorithm": "es"},
-        r"primitive is 'ant-walker' in ant-maze, but it is not a setting of",
-    ),
+    (None, {"like": "ant-maze", "algorithm": "es"}, "primitive is 'ant-walker' in ant-maze, but it is not a setting"),
     (
         None,
         {"like": "ant-walker"},
-        r"^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set --primitive none to beg",
+        "^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set",
     ),
     (None, {"like": 3}, r"a run must be the path of its folder or the name of a shipped agent, got 3\.$"),
     ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
     ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
-    (
-        "ant-gather",
-        {"like": "ant-maze", "preset": "smoke"},
-        "preset has no effect with like, got 'smoke'. Omit --preset",
-    ),
+    ("ant-gather", {"like": "ant-maze", "preset": "smoke"}, "preset has no effect with like, got 'smoke'. Omit --p"),
 ]
 
 

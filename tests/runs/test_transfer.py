@@ -82,9 +82,6 @@ TRANSFERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
         {**BROUGHT, "primitive_hidden": (3, 2), "primitive_view": "proprioception", "controller_interval": 5,
          "primitive_checkpoint": "best", "freeze_primitive": True},
     ),
-    "ant of hiro": (
-        "primitive", "ant-push", {"spec": "hiro"}, {"primitive_view": "proprioception", "primitive_hidden": (5,)},
-    ),
     "walker": (  # two policies are a whole population: only the controller is mirrored
         "primitive", "ant-gather", {"population_size": 2, "controller_output": "heading_vector",
                                     "controller_view": "egocentric"},
