@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -121,17 +122,8 @@ def test_a_listener_ends_the_run_well(tmp_path, run, listener):
     assert shes.resume(stopped, generations=3).generation == 3
 
 
-class Typo:
-    on_generatoin = stops
-
-
-class Few:
-    on_start = stops
-
-
-class Asynchronous:
-    async def on_event(self, event):
-        pass
+async def hear(event):
+    pass
 
 
 @pytest.mark.parametrize(
@@ -139,10 +131,14 @@ class Asynchronous:
     [
         (3, ConfigError, r"listener must be a function of a row, or an object with any of on_start, .*; got 3\."),
         (Listener, ConfigError, r"listener must be an object, got the class Listener\. Write Listener\(\)"),
-        (Typo(), UnknownNameError, r"method of a listener 'on_generatoin'\. Did you mean 'on_generation'"),
+        (
+            SimpleNamespace(on_generatoin=stops),
+            UnknownNameError,
+            r"method of a listener 'on_generatoin'\. Did you mean 'on_generation'",
+        ),
         (lambda: 0, ConfigError, r"listener <lambda> must take \(row\): too many positional"),
-        ([print, Few()], ConfigError, r"must take \(path, config, generation, num_wor"),
-        (Asynchronous(), ConfigError, r"listener Asynchronous\.on_event must be a plain function, not an async one"),
+        ([print, SimpleNamespace(on_start=stops)], ConfigError, r"must take \(path, config, generation, num_wor"),
+        (SimpleNamespace(on_event=hear), ConfigError, r"listener hear must be a plain function, not an async one"),
     ],
 )
 def test_a_listener_that_cannot_be_called_is_refused(tmp_path, listener, error, message):

@@ -215,9 +215,6 @@ def test_an_unknown_name_is_refused(tmp_path, monkeypatch, line):
     assert list(tmp_path.iterdir()) == []
 
 
-# Modules of the user.
-
-
 @pytest.fixture
 def own_module(tmp_path, monkeypatch):
     """Return a function that writes a module of this content and returns its name; afterwards all is forgotten."""

@@ -117,9 +117,6 @@ def test_workers_are_all_cores_unless_said(monkeypatch):
     assert (WorkerSettings().count, WorkerSettings(num_workers=2).count) == (3, 2)
 
 
-# Options of tasks and bodies from outside.
-
-
 def options_of(base, **fields):
     """Return settings of these fields: name=(type, default)."""
     found = [(name, *each) for name, each in fields.items()]
@@ -250,9 +247,6 @@ def test_the_presets_of_hiro_fit_a_small_maze(preset):
     pytest.importorskip("gymnasium_robotics")
     config = make_config("robotics-point-maze", preset)
     assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
-
-
-# A run like another one.
 
 
 def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):

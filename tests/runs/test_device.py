@@ -32,9 +32,6 @@ def change_record(path, change):
     (path / "config.json").write_text(json.dumps(found))
 
 
-# Devices.
-
-
 @pytest.fixture
 def stand_in(monkeypatch):
     """A record of devices whose physics is that of the CPU; its `facts` are what is told of each."""
@@ -130,9 +127,6 @@ def test_a_run_records_its_packages_and_a_resume_their_changes(monkeypatch, tmp_
     found["jax"] = "0.11.0"
     shes.resume(path, generations=2, listener=SimpleNamespace(on_event=heard.append))
     assert heard == ["not as before (jax 0.10.2 -> 0.11.0): numbers may differ from here on"]
-
-
-# Memory and workers.
 
 
 class BegunError(Exception):

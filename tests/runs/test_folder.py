@@ -48,9 +48,6 @@ def test_a_new_folder_has_the_runs_name_and_is_never_given_twice(monkeypatch, tm
     assert len(set(paths)) == 3
 
 
-# The lock.
-
-
 def test_two_processes_never_run_in_one_folder(tiny_run, run_copy):
     """The lock goes with the process that holds it, so that a killed run leaves none."""
     with RunFolder.open(run_copy).lock():
@@ -98,14 +95,6 @@ def test_a_run_may_begin_where_other_files_or_a_stopped_one_are(tmp_path):
         pass
     (tmp_path / "checkpoints" / "generation_000000.npz").write_bytes(b"PK")
     assert runs.train_tiny(tmp_path, generations=1) == tmp_path
-
-
-def test_a_symbolic_link_to_the_run_folder_or_in_it_is_followed(tmp_path, run_copy):
-    """People keep checkpoints on a large disk."""
-    (run_copy / "checkpoints").rename(tmp_path / "large")
-    (run_copy / "checkpoints").symlink_to(tmp_path / "large")
-    (tmp_path / "link").symlink_to(run_copy)
-    assert shes.resume(tmp_path / "link", generations=5).generation == 5
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,6 @@ def test_wrong_arguments_are_refused(tiny_run):
             agent.reset(wrong)
 
 
-# Runs of one level, and what else an agent may observe.
-
 PLAYED = {
     "flat with clock": ("point-maze", {"algorithm": "es", "clock_frequency": 0.8}),
     "primitive alone": ("point-flagrun", {"controller_interval": 7, "goal_distance": 2.5}),

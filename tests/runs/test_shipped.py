@@ -31,9 +31,6 @@ def elsewhere(tmp_path, monkeypatch):
     return tmp_path
 
 
-# Names.
-
-
 def test_a_name_is_found_and_a_path_wins_over_it(elsewhere, run_copy):
     for name in ("ant-gather", Path("ant-gather")):
         assert RunFolder.open(name).path == AGENTS / "ant-gather"
@@ -90,9 +87,6 @@ def test_a_damaged_agent_file_is_an_error_that_names_it(elsewhere, monkeypatch, 
     file.write_text(json.dumps(change(json.loads(file.read_text()))))
     with pytest.raises(RunFolderError, match=r"agent\.json is damaged: .*Install SHES again"):
         read_agent("ant-gather")
-
-
-# What is shipped.
 
 
 @pytest.mark.parametrize("name", shipped_names())

@@ -56,9 +56,6 @@ def same(one, other):
     return counts and all(mine.tobytes() == theirs.tobytes() for mine, theirs in pairs)
 
 
-# What is brought.
-
-
 def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path, tiny_run):
     settings = {"primitive": str(sources("point")), "freeze_primitive": False, "primitive_checkpoint": "2"}
     with recording() as record:
@@ -123,8 +120,6 @@ def test_both_levels_may_come_from_other_runs(sources):
     found = make_config("point-gather", "smoke", {**given, **other})
     assert found.values.items() >= {**given, **BY_CONTROLLER, **other}.items()  # what is suggested may be asked for
 
-
-# What cannot be.
 
 TRAINED = "{} is {}, but LEVEL was trained with {}. Omit --{}: it comes with the"
 OTHER_ROBOT = "LEVEL does not fit .* it was trained on ant-flagrun for the ant, but .* has {}. Name a primitive of "
