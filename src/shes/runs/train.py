@@ -14,13 +14,7 @@ from typing import Any
 from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
-from shes.runs.build import (
-    build_algorithm,
-    build_backend,
-    check_device,
-    check_limits,
-    most_episodes,
-)
+from shes.runs.build import build_algorithm, build_backend, check_device, check_limits, most_episodes
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig, known_settings, resumable_settings
 from shes.runs.evaluate import logger

@@ -30,14 +30,7 @@ from shes.storage import write_atomically
 from shes.types import F64Array
 from shes.viewing.curves import Group, RunData, confidence_interval, group_runs, read_runs, setting_text
 from shes.viewing.render import check_target, render
-from shes.viewing.report_figures import (
-    MOST_EPISODES,
-    SECTIONS,
-    Figure,
-    curve_figure,
-    panels_of,
-    play_maps,
-)
+from shes.viewing.report_figures import MOST_EPISODES, SECTIONS, Figure, curve_figure, panels_of, play_maps
 
 logger = logging.getLogger("shes.report")
 _MOST_SHOWN = 6
