@@ -162,9 +162,11 @@ def test_progress_is_shown_in_a_terminal_or_on_request(tmp_path, capsys, monkeyp
     monkeypatch.setattr("rich.console.Console.is_terminal", True)
     shes.train("point-gather", out=tmp_path / "terminal", listener=heard.append, **settings)
     assert "generation" in capsys.readouterr().out
-    shes.resume(tmp_path / "terminal", generations=2, progress=False)
+    shes.resume(tmp_path / "terminal", generations=2, listener=heard.append, progress=False)
     assert capsys.readouterr().out == ""
-    assert len(heard) == 2
+    shes.resume(tmp_path / "shown", generations=2, progress=True)
+    assert "after generation 1. Run folder" in capsys.readouterr().out
+    assert len(heard) == 3
 
 
 class Failing(Listener):
