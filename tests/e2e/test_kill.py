@@ -29,12 +29,22 @@ def kill_main_inside(process, path, generation):
     return inside
 
 
-def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed):
+@pytest.mark.parametrize(
+    ("first", "last"), [(3, 3), pytest.param(1, 4, marks=pytest.mark.extras)], ids=["once", "often"]
+)
+def test_a_run_killed_inside_generations_goes_on_as_before(started, undisturbed, first, last):
     process, path = started()
-    inside = kill_main_inside(process, path, 3)
+    killed = [kill_main_inside(process, path, first)]
+    while killed[-1] < last:
+        process = runs.start("resume", path)
+        try:
+            killed.append(kill_main_inside(process, path, killed[-1] + 1))
+        finally:
+            process.kill()
+            process.communicate()
     assert runs.differences(undisturbed, path)  # something is left to do
     shes.resume(path)
-    assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)[1:]
+    assert f"begins after generation {killed[-1] - 1} with 2 workers" in runs.log_lines(path)[1:]
     assert runs.differences(undisturbed, path) == []
 
 
@@ -42,29 +52,10 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):
     """The tables are written before the checkpoint: a kill between them leaves rows too many, or half a row."""
     path = runs.train_tiny(tmp_path / "run", generations=2)
     for table in (path / "progress.csv", path / "evaluation.csv"):
-        columns = table.read_text().partition("\n")[0].split(",")
-        with table.open("a") as file:
-            file.write(",".join(["3"] + ["1.5"] * (len(columns) - 1)) + "\n")  # a generation after the checkpoint's
-            file.write("4,12800,0.")  # half a row
-    assert {"progress.csv/generation", "evaluation.csv/generation"} <= runs.numbers(path).keys()
+        row = ",".join(["3"] + ["1.5"] * table.read_text().partition("\n")[0].count(","))
+        table.write_text(f"{table.read_text()}{row}\n4,12800,0.")  # a generation after the checkpoint's, half a row
     shes.resume(path, generations=4)
     assert runs.differences(tiny_run, path) == []
-
-
-@pytest.mark.extras
-def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undisturbed):
-    process, path = started()
-    killed = [kill_main_inside(process, path, 1)]
-    while killed[-1] < 4:
-        process = runs.start("resume", path)
-        try:
-            killed.append(kill_main_inside(process, path, killed[-1] + 1))
-        finally:
-            process.kill()
-            process.communicate()
-    assert len(killed) > 1
-    shes.resume(path)
-    assert runs.differences(undisturbed, path) == []
 
 
 @pytest.mark.parametrize(

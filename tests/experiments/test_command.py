@@ -4,8 +4,8 @@ import csv
 import os
 import re
 import signal
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -19,17 +19,7 @@ SOME = ("ablation", "--scale", "smoke", "--only", "horizon", "transfer", "--work
 TIMES = ("seconds", "primitive_seconds", "hours", "primitive_hours")
 
 
-def start(*words):
-    """Start `python -m experiments WORDS` as the leader of a process group of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "experiments", *(str(word) for word in words)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+start = partial(runs.start, command=(sys.executable, "-m", "experiments"), cwd=ROOT)
 
 
 def run(*words):
