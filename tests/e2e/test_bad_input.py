@@ -87,7 +87,7 @@ def test_a_wrong_command_line_is_refused_with_its_fix(line, refused, tmp_path):
 
 THERE = r"best, generation_000000, generation_000002, generation_000004, last\. Choose one with --checkpoint"
 IN_FOLDERS = {
-    "train point-gather --preset smoke --out copy": r"copy already holds a run\. Go on with it by `shes resume .*another folder .*--out",
+    "train point-gather --preset smoke --out copy": r"copy already holds a run\. .*`shes resume .*--out",
     "train point-gather --preset smoke --out file": r"file is a file, not a folder\. Choose another path with --out",
     "train point-gather --preset smoke --out file/run": r"a part of the path is a file.*--out",
     "resume copy": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
@@ -108,9 +108,9 @@ def test_what_does_not_fit_a_folder_is_refused_and_harms_nothing(line, refused, 
 
 
 def test_resume_refuses_in_python_what_the_command_line_refuses(run_copy):
-    for settings, message in (({"sigma": 1.0}, "--sigma would change"), ({"sigm": 1.0}, r"setting 'sigm'\. resume take")):
+    for name, message in {"sigma": "--sigma would change", "sigm": r"unknown setting 'sigm'\. resume takes"}.items():
         with pytest.raises(ConfigError, match=message):
-            shes.resume(run_copy, generations=8, **settings)
+            shes.resume(run_copy, generations=8, **{name: 1.0})
 
 
 # Checkpoints.

@@ -8,12 +8,12 @@ import pytest
 from gymnasium.spaces import Box
 
 import shes
-from shes.envs.named_environments import EXTERNAL_ENVIRONMENTS
 from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.recorder import Divergence
 from shes.runs.tables import read_csv
 from tests.e2e import runs
+from tests.envs.external_envs import registered
 
 STEPS = 20
 TINY = {**runs.TINY, "horizon": STEPS, "evaluation_horizon": STEPS, "evaluation_interval": 1, "keep_checkpoints": 1}
@@ -43,12 +43,10 @@ class Glass(gymnasium.Env):
 @pytest.fixture(scope="module", autouse=True)
 def registries():
     """The registries with the glass in them, as it is and in three other kinds; afterwards all is forgotten."""
-    before = dict(EXTERNAL_ENVIRONMENTS)
-    for name, *made in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0), ("fog", 2.0, np.nan)):
-        shes.register_external(name, partial(Glass, *made), locate=lambda seen, _: (seen[0], seen[1], 0.0))
-    yield
-    EXTERNAL_ENVIRONMENTS.clear()
-    EXTERNAL_ENVIRONMENTS.update(before)
+    with registered():
+        for name, *made in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0), ("fog", 2.0, np.nan)):
+            shes.register_external(name, partial(Glass, *made), locate=lambda seen, _: (seen[0], seen[1], 0.0))
+        yield
 
 
 @pytest.fixture(scope="module", params=["shes", "es"])
