@@ -30,7 +30,7 @@ def test_the_hooks_of_pre_commit_are_targets_of_make():
     assert {"lint", "imports", "type", "test"} == set(hooks) <= TARGETS
 
 
-def test_contributing_names_what_exists():
+def test_contributing_names_what_exists_and_every_marker():
     assert {target for words in re.findall(r"`make ([a-z -]+)`", CONTRIBUTING) for target in words.split()} <= TARGETS
     for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or "PACKAGE" in path or (ROOT / path).exists(), path
@@ -38,9 +38,6 @@ def test_contributing_names_what_exists():
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
     registries = {**vars(goals), **vars(rewards), **vars(export), **vars(program)}
     assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "LEARNERS", "PRINTS"}
-
-
-def test_contributing_names_every_marker():
     markers = {line.partition(":")[0] for line in PROJECT["tool"]["pytest"]["ini_options"]["markers"]}
     assert markers <= set(re.findall(r"`([a-z]+)`", CONTRIBUTING))
 

@@ -57,14 +57,6 @@ def test_words_that_make_no_sense_are_refused(line, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("words", [["ablatoin"], ["fig3", "--scale", "large"], ["fig3", "--seeds", "many"], []])
-def test_words_that_are_no_value_of_their_flag_are_refused(words, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(words)
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.startswith("usage: python -m experiments")
-
-
 def test_what_is_there_is_compared_and_drawn_without_a_run(tmp_path, capsys):
     """Of one group: the comparisons of the others take their time."""
     kept, group = ROOT / "results" / "ablation", "horizon"

@@ -7,8 +7,7 @@ import pytest
 from experiments.comparisons import compare
 from experiments.curve_figure import Curve, Panel, draw_curves
 from experiments.design import Measure
-from experiments.figures import draw_figures, forest
-from experiments.paper import figure_3, figure_5
+from experiments.figures import forest
 from experiments.results import PlacedResults, RunResults
 from tests.experiments.tiny import experiment, run
 
@@ -86,16 +85,3 @@ def test_a_transferred_run_begins_after_its_primitive(x):
     [mean], [span] = lines(axis, "C0"), lines(axis, "C0", ":")
     assert (mean.get_xdata()[0], mean.get_xdata()[-1]) == (0.5, 4.5)
     assert np.array(span.get_data()).tolist() == [[0, 0.5], [2, 2]]
-
-
-@pytest.mark.extras
-@pytest.mark.parametrize("make", [figure_3, figure_5])
-def test_the_papers_figures_are_drawn_alike_again(make, tmp_path):
-    results = results_of(make("smoke", 2))
-    pictures = []
-    for name in ("first", "second"):
-        (tmp_path / name).mkdir()
-        drawn = draw_figures(results, tmp_path / name)
-        assert [path.name for path in drawn] == list(results.experiment.figures)
-        pictures.append([path.read_bytes() for path in drawn])
-    assert pictures[0] == pictures[1]

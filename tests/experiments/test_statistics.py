@@ -55,13 +55,6 @@ def test_the_interquartile_mean_agrees_with_a_hand_value(values, expected):
     assert low <= mean <= high
 
 
-def test_the_interval_of_the_interquartile_mean_is_a_bootstrap():
-    values = np.linspace(0, 1, 9) ** 2
-    drawn = np.random.default_rng(1).choice(values, (20_000, 9))
-    expected = np.percentile(np.sort(drawn, axis=1)[:, 2:7].mean(axis=1), [2.5, 97.5])
-    assert interquartile_mean(values)[1:] == pytest.approx(expected, abs=0.02)
-
-
 def test_holm_corrects_as_the_textbook_does():
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.9]) == [1.0, 1.0]
