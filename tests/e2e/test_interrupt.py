@@ -3,12 +3,12 @@
 import os
 import signal
 import time
+from functools import partial
 
 import pytest
 
 from shes.runs import recorder
 from shes.runs.checkpoint import load_checkpoint
-from shes.runs.tables import read_csv
 from shes.runs.train import resume
 from tests.e2e import runs
 
@@ -81,29 +81,22 @@ def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pa
 # In this process: a signal at an exact place.
 
 
-def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with pytest.raises(KeyboardInterrupt):
-        runs.train_tiny(tmp_path / "run", listener=runs.AfterGeneration(2, lambda: signal.raise_signal(signal.SIGINT)))
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
-    resume(tmp_path / "run")
-    assert runs.differences(tiny_run, tmp_path / "run") == []
-
-
-def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
+@pytest.mark.parametrize("place", ["between generations", "while a checkpoint is written"])
+def test_ctrl_c_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatch, place):
     def save(path, checkpoint):
-        if checkpoint.generation == 1 and not sent:
-            sent.append(path)
-            signal.raise_signal(signal.SIGINT)
+        if checkpoint.generation == 2 and path.name == "last.npz":
+            send()
         return original(path, checkpoint)
 
-    sent, original = [], recorder.save_checkpoint
-    monkeypatch.setattr(recorder, "save_checkpoint", save)
+    original, send = recorder.save_checkpoint, partial(signal.raise_signal, signal.SIGINT)
+    listener = runs.AfterGeneration(2, send) if place == "between generations" else None
+    if listener is None:
+        monkeypatch.setattr(recorder, "save_checkpoint", save)
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.raises(KeyboardInterrupt):
-        runs.train_tiny(tmp_path / "run", generations=1000)
-    done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
-    assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])
+        runs.train_tiny(tmp_path / "run", listener=listener)
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     monkeypatch.undo()
-    resume(tmp_path / "run", generations=done + 1)
-    assert runs.differences(runs.train_tiny(tmp_path / "whole", generations=done + 1), tmp_path / "run") == []
+    resume(tmp_path / "run")
+    assert runs.differences(tiny_run, tmp_path / "run") == []
