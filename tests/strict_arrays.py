@@ -42,14 +42,7 @@ class DeviceArray(NDArrayOperatorsMixin):
     def tolist(self):
         return self.get().tolist()
 
-    def __bool__(self):
-        return bool(self.get())
-
-    def __int__(self):
-        return int(self.get())
-
-    def __float__(self):
-        return float(self.get())
+    __bool__, __int__, __float__ = (lambda self, kind=kind: kind(self.get()) for kind in (bool, int, float))
 
     @property
     def T(self):  # noqa: N802 - NumPy's name

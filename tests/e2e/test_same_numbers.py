@@ -9,18 +9,6 @@ from shes.runs.config import known_settings
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 
-
-@pytest.mark.extras
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize(("episodes", "workers", "chunk_size"), [(1, 0, 3), (1, 1, 1), (1, 2, 7), (3, 2, 0), (3, 3, 7)])
-def test_workers_and_chunks_change_no_number(tmp_path, episodes, workers, chunk_size):
-    settings = {"population_size": 20, "horizon": 30, "generations": 3, "episodes_per_policy": episodes}
-    spread = {"backend": "processes", "num_workers": workers} if workers else {}
-    one = runs.train_tiny(tmp_path / "one", **settings)
-    other = runs.train_tiny(tmp_path / "other", **settings, **spread, chunk_size=chunk_size)
-    assert runs.differences(one, other) == []
-
-
 # Every variant of the method.
 
 METHOD = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1, "population_size": 12}
@@ -141,7 +129,10 @@ def comparisons():
         is_quick_serial = env.startswith("point-") and bool(QUICK_SERIAL & settings.keys())
         for backend, is_quick in (("serial", is_quick_serial), ("processes", (env, name) in QUICK)):
             marks = [] if is_quick else [pytest.mark.slow]
-            tests.append(pytest.param(backend, env, settings, id=f"{backend}-{env}-{name}", marks=marks))
+            spread = {"backend": backend, "num_workers": 0, "chunk_size": (5, 1, 7, 0)[len(tests) // 2 % 4]}
+            if backend == "processes":
+                spread["num_workers"] = 3 if is_quick else 1 + len(tests) // 2 % 3
+            tests.append(pytest.param(spread, env, settings, id=f"{backend}-{env}-{name}", marks=marks))
     return tests
 
 
@@ -152,15 +143,15 @@ def source(tmp_path_factory):
     return runs.train_tiny(path, "point-flagrun", generations=2, clock_frequency=0.5, hidden=(3,))
 
 
-@pytest.mark.parametrize(("backend", "env", "settings"), comparisons())
-def test_neither_workers_nor_a_resume_change_any_method(tmp_path, monkeypatch, source, backend, env, settings):
+@pytest.mark.parametrize(("spread", "env", "settings"), comparisons())
+def test_neither_workers_nor_a_resume_change_any_method(tmp_path, monkeypatch, source, spread, env, settings):
     """The workers of the serial backend are 13 by name: members that share noise are divided as for so many."""
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
     two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
     monkeypatch.setattr(SerialBackend, "num_workers", 13)
-    shes.resume(two, generations=3, backend=backend, num_workers=3 * (backend == "processes"), chunk_size=5)
+    shes.resume(two, generations=3, **spread)
     assert runs.differences(one, two) == []
 
 
