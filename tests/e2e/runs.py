@@ -36,8 +36,6 @@ TINY = {
 COMMAND = (sys.executable, "-m", "shes")
 PATIENCE_S = 60.0
 """Longest wait for something that is about to happen; longer on a busy machine, see `patient`."""
-GONE_WITHIN_S = 2.0
-"""No worker outlives its run for longer; the same."""
 
 
 def patient(seconds):
@@ -219,6 +217,6 @@ def assert_gone(main_pid, worker_pids):
     wait_until(
         lambda: not any(is_alive(pid) for pid in worker_pids) and not workers_of(main_pid),
         f"workers {worker_pids} of {main_pid} are gone",
-        GONE_WITHIN_S,
+        within_s=2.0,
         every_s=0.02,  # a look at all processes takes several milliseconds
     )

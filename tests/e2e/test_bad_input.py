@@ -116,7 +116,7 @@ def test_resume_refuses_in_python_what_the_command_line_refuses(run_copy):
 # Checkpoints.
 
 
-def test_a_damaged_last_checkpoint_is_refused_and_can_be_replaced(refused, run_copy, tiny_run):
+def test_a_damaged_checkpoint_is_refused_and_can_be_replaced(refused, run_copy, tiny_run):
     checkpoints = run_copy / "checkpoints"
     last = checkpoints / "last.npz"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])

@@ -57,7 +57,7 @@ def test_a_run_that_was_interrupted_goes_on_as_if_it_had_not(walked, tmp_path):
     assert runs.differences(walked, path) == []
 
 
-def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp_path):
+def test_a_run_goes_to_a_device_and_back_as_its_record_says(tmp_path):
     path = runs.train_tiny(tmp_path / "run", "ant-gather", generations=2, evaluation_interval=1)
     for device, generations in (("warp-cpu", 4), ("cpu", 5)):
         code, out, err = runs.run("resume", path, "--device", device, "--generations", generations)
@@ -74,7 +74,7 @@ def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp
     assert RunFolder.open(path).load("last").generation == 5
 
 
-def test_a_buffer_that_overflows_ends_the_run_which_goes_on_with_the_size_that_the_error_names(walked, tmp_path):
+def test_a_full_buffer_ends_a_run_that_goes_on_with_a_larger_one(walked, tmp_path):
     path = shutil.copytree(walked, tmp_path / "run")
     code, out, err = runs.run("resume", path, "--generations", 3, "--nconmax", 1)
     assert code == 2, out

@@ -68,7 +68,7 @@ def test_workers_and_a_resume_change_no_number(tmp_path, monkeypatch, name, make
         assert np.abs(agent.goal - observation["achieved_goal"]).max() <= agent.config.hierarchy.goal_distance + 1e-6
 
 
-def test_the_folder_keeps_the_name_and_it_must_be_registered_again(run, monkeypatch):
+def test_the_folder_keeps_a_name_that_must_be_registered_again(run, monkeypatch):
     assert json.loads((run.path / "config.json").read_text())["config"]["run"]["env"] == "car"
     monkeypatch.delitem(EXTERNAL_ENVIRONMENTS, "car")
     for use in (shes.load, shes.resume, shes.evaluate):

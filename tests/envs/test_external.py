@@ -296,7 +296,7 @@ PLACED = {"env_kwargs": {"parts": [1, 2], "truncates_after": 9}, "reset_options"
 TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 1, "population_size": 4}
 
 
-def test_every_environment_of_a_run_has_the_options_of_its_record(tmp_path):
+def test_every_environment_of_a_run_has_its_recorded_options(tmp_path):
     given = []
 
     class Placed(Car):
