@@ -82,6 +82,8 @@ def test_evaluation_and_pictures(run, tmp_path):
     assert one.summary()["episode_steps_mean"] == 9
     with Image.open(render(run.path, tmp_path / "walk.gif", size=64, checkpoints=["0", "best"], steps=6)) as video:
         assert video.size == (128, 64)
+    with pytest.raises(ConfigError, match=r"this environment draws itself and has no camera 'top'\. Omit --camera"):
+        render(run.path, tmp_path / "walk.gif", camera="top")
 
 
 def test_a_loaded_agent_plays_as_evaluation_does(run):
@@ -126,11 +128,6 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         watch(run.path)
     assert [number for number, is_new in enumerate(shown) if is_new] == [0, 10]
-
-
-def test_a_camera_that_there_is_not_is_refused(run, tmp_path):
-    with pytest.raises(ConfigError, match=r"this environment draws itself and has no camera 'top'\. Omit --camera"):
-        render(run.path, tmp_path / "walk.gif", camera="top")
 
 
 def test_a_primitive_that_learned_there_serves_there_again(run, tmp_path):

@@ -13,16 +13,12 @@ from tests.e2e import runs
 pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
 
 
-def kill(pid):
-    os.kill(pid, signal.SIGKILL)
-
-
 def kill_main_inside(process, path, generation):
     """Kill the run inside `generation` or a later one; return which. No worker outlives it."""
     inside = runs.stop_inside_generation(process, path, generation)
     workers = runs.workers_of(process.pid)
     assert len(workers) == 2
-    kill(process.pid)
+    process.kill()
     assert process.wait() == -signal.SIGKILL
     runs.assert_gone(process.pid, workers)
     assert runs.generation_under_way(path) == inside  # it was inside, by the log, and never came out
@@ -72,7 +68,7 @@ def test_workers_killed_inside_generations_change_no_number(started, undisturbed
         except runs.EndedTooSoonError:
             break
         worker, *others = runs.workers_of(process.pid)
-        kill(worker)
+        os.kill(worker, signal.SIGKILL)
         for pid in others:  # so that the run cannot end before they go on
             os.kill(pid, signal.SIGSTOP)
         os.kill(process.pid, signal.SIGCONT)

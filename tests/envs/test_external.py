@@ -195,24 +195,27 @@ def test_an_episode_does_not_depend_on_the_others():
         assert_same_view(view(crowd, [2]), resting)
 
 
-@pytest.mark.parametrize("kind", ["terminates_after", "truncates_after"])
-def test_an_end_without_success_is_a_fall_if_it_is_a_termination(kind):
-    task, actions = start(30, score="success", **{kind: 3}), draw_actions(start(1), 3)
+@pytest.mark.parametrize(
+    ("ends", "is_fall"), [("terminates", True), ("truncates", False), ("terminates truncates", True)]
+)
+def test_an_end_without_success_is_a_fall_if_it_is_a_termination(ends, is_fall):
+    ends = {f"{each}_after": 3 for each in ends.split()}
+    task, actions = start(30, score="success", **ends), draw_actions(start(1), 3)
     play(task, actions[:2])
     assert not (task.fallen | task.terminated).any()
     play(task, actions[2:])
     assert task.terminated.all()
-    assert (task.truncated == (kind == "truncates_after")).all()
+    assert (task.truncated != is_fall).all()
     near = np.abs(task.position - task.observe()[:, 6:]).max(axis=1) < 0.5
     assert 0 < near.sum() < 30
     assert_array_equal(task.success, near)
     assert_array_equal(task.score, near)
-    assert_array_equal(task.fallen, ~near & (kind == "terminates_after"))
+    assert_array_equal(task.fallen, ~near & is_fall)
     task.reset(np.arange(30), range(30))
     assert not (task.fallen | task.truncated).any()
-    silent = start(2, make=Silent, **{kind: 3})  # reports no success
+    silent = start(2, make=Silent, **ends)  # reports no success
     play(silent, actions)
-    assert (silent.fallen == (kind == "terminates_after")).all()
+    assert (silent.fallen == is_fall).all()
     assert_array_equal(silent.score, silent.running_return)
 
 
