@@ -51,12 +51,6 @@ def run_experiment(
         say: Receives lines about the progress.
         num_workers: Runs that are made at a time, or the workers of each large run; 0 is one for every core.
         backend: Backend of large runs.
-
-    Raises:
-        RunFolderError: `out` is in use, or a folder below it holds a run with other settings.
-        ConfigError: The settings of a run are not allowed.
-        MissingExtraError: A package is not installed that a run, or the comparison of the runs, needs.
-        StorageError: `out` cannot be written.
     """
     check_experiment(experiment, out, backend)
     workers = {"backend": backend, "num_workers": num_workers} if experiment.has_large_runs else dict(ALONE)

@@ -163,8 +163,9 @@ class ExternalTask(EpisodeBatch):
 
     def close(self) -> None:
         """Close the environments: all of them, even if some raise an error."""
-        envs, self._envs = self._envs, [None] * self.num_episodes
-        for env in filter(None, envs):
+        envs = filter(None, self._envs)
+        self._envs = [None] * self.num_episodes
+        for env in envs:
             try:
                 env.close()
             except Exception as error:  # noqa: BLE001 - of the user's code, and nothing depends on it any more
