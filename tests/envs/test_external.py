@@ -85,6 +85,7 @@ def test_our_own_point_maze_is_the_same_from_outside():
         for name in ("time", "reward", "running_return", "success", "diverged"):
             assert_array_equal(getattr(inside, name), getattr(outside, name), err_msg=name)
         assert_array_equal(inside.observe(), outside.observe())
+    assert outside.physics_s > 0
     assert 0 < inside.success.sum() < 3
 
 
@@ -334,6 +335,7 @@ REFUSED_OPTIONS = [
     *(({"env_kwargs": each}, NO_OBJECT) for each in ('{"a": NaN}', "[" * 9999, {"a": {(1, 2): 3}})),
     ({"reset_options": "[]"}, r"reset_options must be a JSON object .*'{\"start\": \[0, 1\]}', got '\[\]'\. Set --res"),
     ({"env_kwargs": {"fuel": 1}}, r"cannot be made with {'fuel': 1}: TypeError: .*unexpected keyword argument 'fuel'"),
+    ({"device": "warp-cpu"}, r"gymnasium:tests/Car-v0 has physics of its own: it runs .*Set --device cpu\."),
     ({"env": "point-maze", "env_kwargs": "{}"}, r"env_kwargs is not a setting of a run of point-maze .*Omit --env-kw"),
     ({"algorithm": "shes", **TINY}, r"of gymnasium:tests/Car-v0 is unknown.*register_external\(name, .*--algorithm es"),
 ]
