@@ -11,8 +11,7 @@ from shes.envs.named_environments import make_task
 from shes.sim.simulator import CpuSimulator
 from shes.types import to_host
 from tests.contracts.variants import VARIANTS, Variant
-from tests.strict_arrays import DeviceArray, strict_xp
-from tests.strict_simulator import DeviceSimulator
+from tests.strict_arrays import DeviceArray, DeviceSimulator, strict_xp
 
 NUM_EPISODES, STEPS = 6, 12
 GOAL_INTERVAL = 5

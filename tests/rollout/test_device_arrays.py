@@ -19,8 +19,7 @@ from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.sim.simulator import CpuSimulator
 from tests.rollout.made_up import taking
-from tests.strict_arrays import strict_xp
-from tests.strict_simulator import DeviceSimulator
+from tests.strict_arrays import DeviceSimulator, strict_xp
 
 HORIZON = 11
 SETTINGS = {"hidden": (8,), "horizon": HORIZON, "population_size": 8, "noise_table_size": 20_000}
