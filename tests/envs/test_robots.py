@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from shes.agents.goal_agent import Frames
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import dihedral_group
-from shes.envs.bodies.robot import Robot, RobotOptions, read_robot
+from shes.envs.bodies.robot import Robot, RobotOptions
+from shes.envs.bodies.robot_file import read_robot
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS
 from shes.errors import ConfigError
 from tests.envs.robot_files import TETRAHEDRON, mjcf, one_joint, walker
@@ -318,7 +319,7 @@ REFUSED = {
     "ball joints": (PLAIN.replace("axis=\"0 1 0\" />", 'type="ball"/>', 2), {}, "ball joints"),
     "no joints": (mjcf(), {"motors": 1.0}, "0 joints"),
     "a thousand joints": (mjcf(legs=MANY, actuators='<motor joint="j1" ctrlrange="-1 1"/>'), {}, "1000 joints"),
-    "nothing collides": (PLAIN.replace("<geom", '<geom contype="2" conaffinity="2"'), {}, "nothing of the robot coll"),
+    "nothing collides": (PLAIN.replace("<geom", '<geom contype="2" conaffinity="2"'), {}, "nothing of robot .* coll"),
     "lying": (one_joint('<motor joint="a" ctrlrange="-1 1"/>', after=LYING), {}, "lies in its home pose.*--robot-key"),
     "no mass": (PLAIN.replace("<geom", '<geom mass="0"'), {}, "mass and inertia of moving bodies must be larger"),
     "millimetres": (PLAIN.replace('size=".1"', 'size="250"'), {}, "m large and weighs .* Check its units"),
@@ -327,8 +328,8 @@ REFUSED = {
     "no such keyframe": (PLAIN, {"robot_keyframe": "up"}, "no keyframe 'up' .it has none"),
     "another keyframe": (one_joint("", after=KEYS), {"robot_keyframe": "x", "motors": 1.0}, "keyframes: low, up"),
     "motors twice": (PLAIN, {"motors": 2.0}, "has actuators of its own. Omit --motors"),
-    "a short control step": (PLAIN, {"control_step": 0.004}, "control_step is 0.004 s, but the physics step .* 0.005"),
-    "no time step": (PLAIN.replace('timestep="0.005"', 'timestep="0"'), {}, "the physics step .* is 0 s"),
+    "a short control step": (PLAIN, {"control_step": 0.004}, "physics step of 0.005 s, not .* control_step, 0.004 s. Set --c"),
+    "no time step": (PLAIN.replace('timestep="0.005"', 'timestep="0"'), {}, "a physics step of 0 s, not above 0"),
     "include above": (mjcf(before='<include file="../part.xml"/>'), {}, OUTSIDE),
     "include elsewhere": (mjcf(before='<include class=">" file="&#47;etc/hostname"/>'), {}, OUTSIDE),
     "include by a link": (mjcf(before='<include file="link.xml"/>'), {}, OUTSIDE),
@@ -385,7 +386,7 @@ def test_an_archive_is_read_as_carefully(strangers, monkeypatch):
                 for name, text in files.items():
                     archive.writestr(name, text)
         if "MB" in message:
-            monkeypatch.setattr("shes.envs.bodies.robot._MAX_BYTES", 100_000)
+            monkeypatch.setattr("shes.envs.bodies.robot_file._MAX_BYTES", 100_000)
         with pytest.raises(ConfigError, match=f"robot.zip' cannot be read: .*{message}"):
             read_robot(str(path))
 
@@ -394,7 +395,7 @@ def test_files_and_meshes_have_a_largest_size(strangers, monkeypatch):
     path = strangers / "robot.xml"
     path.write_text(mjcf(before=MESH.format("a.obj")))
     (strangers / "a.obj").write_text(TETRAHEDRON + "#" * 100_000)
-    monkeypatch.setattr("shes.envs.bodies.robot._MAX_BYTES", 50_000)
+    monkeypatch.setattr("shes.envs.bodies.robot_file._MAX_BYTES", 50_000)
     with pytest.raises(ConfigError, match=r"more than 0 MB of files"):
         read_robot(str(path))
     path.write_text(PLAIN + " " * 100_000)
