@@ -19,11 +19,11 @@ import shes
 from shes.cli import main
 from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task
-from shes.envs.tasks.task import TaskOptions
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
 from shes.runs.config import known_settings
 from shes.settings import flag, setting_fields
 from tests.browser import find_browser, layout_faults
+from tests.envs.episodes import make_task
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
 
@@ -113,7 +113,7 @@ def test_an_environments_page_lists_its_observations_and_actions(site, pages, na
     bodies = {tuple(head[:2]): rows for head, *rows in found}
     observed = [rows for head, *rows in found if head[1] == "name"]
     for spec, rows in zip(task.specs, observed, strict=True):
-        elements = make_task(name, 1, TaskOptions(spec=spec)).observation_spec
+        elements = make_task(name, 1, spec=spec).observation_spec
         assert [row[1] for row in rows] == [element.name for element in elements]
         assert [row[0] for row in rows] == [str(i) for i in range(len(elements))]
     assert [row[1] for row in bodies["index", "control"]] == list(task.body.controls)

@@ -22,7 +22,6 @@ from shes.envs.named_environments import (
     EXTERNAL_ENVIRONMENTS,
     INCLUDED,
     find_environment,
-    make_task,
     register_environment,
     register_external,
 )
@@ -33,7 +32,7 @@ from shes.viewing.playback import Playback
 from tests.contracts import test_task_contract as contract
 from tests.e2e import runs
 from tests.e2e.own_classes import Corner
-from tests.envs.episodes import assert_same_view, draw_actions, play, view
+from tests.envs.episodes import assert_same_view, draw_actions, make_task, play, view
 from tests.envs.external_envs import MAX_STEPS, Body, Car, Holder, Silent, Stepper, locate_by_info, locate_car, register
 
 ANT_MAZE = "robotics-ant-maze"

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.envs.named_environments import find_environment, make_task
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts.variants import VARIANTS
+from tests.envs.episodes import make_task
 
 WORLDS = [tuple(each) for each in VARIANTS if each.spec == "shes" or each.name.endswith(("-gather", "-push"))]
 WORLDS = [each for each in WORLDS if not each[0].endswith("-flagrun")]  # which has Gather's
@@ -108,7 +108,7 @@ def crash(name, num_episodes, steps, seed, **options):
     def draw_action():
         return rng.choice([-1.0, 1.0], (num_episodes, task.action_size)) * task.control_limit
 
-    task = make_task(name, num_episodes, find_environment(name).task.Options(**options))
+    task = make_task(name, num_episodes, **options)
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
     task.reset(ids, ids)
     task.sim.qpos[:, :2], direction = choose_starts(task, rng)

@@ -38,6 +38,9 @@ ACTUATORS = {
     "servo": ('<position joint="a" kp="9"/>', "", 0.3, 0.5, None),
     "servo of a joint with limits": ('<position joint="a" kp="9"/>', 'range="-57.29578 45.836624"', 0.3, 0.25, None),
     "servo with gear": ('<position joint="a" kp="9" gear="-2" ctrlrange="-2 2"/>', "", -0.6, 0.7, None),
+    "servo with gear and limits": (
+        '<position joint="a" kp="9" gear="-2"/>', 'range="-57.29578 45.836624"', -0.6, 0.5, None,
+    ),
     "servo at its limit": ('<position joint="a" kp="9" ctrlrange="-1 .2"/>', "", 0.2, 0.12, None),
     "servo of a tendon": ('<position tendon="t" kp="9" ctrlrange="-1 1"/>', "", 0.5, 0.25, None),
     "motor of a tendon": ('<motor tendon="t" ctrlrange="-1 1"/>', "", 0, 1, None),
@@ -46,7 +49,7 @@ ACTUATORS = {
     "filtered servo": ('<position joint="a" kp="9" timeconst=".1"/>', "", 0.3, 0.5, 0.3),
     "filter": ('<general joint="a" dyntype="filter" dynprm=".1" ctrlrange="-3 5"/>', "", 1, 4, 1),
     "delayed motor": ('<motor joint="a" ctrlrange="-9 9" delay=".03" nsample="12"/>', "", 0, 9, None),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("actuator", "joint", "offset", "factor", "activation"), ACTUATORS.values(), ids=ACTUATORS)

@@ -7,7 +7,7 @@ point continues with the next.
 import numpy as np
 import pytest
 
-from shes.envs.named_environments import find_environment, make_task
+from tests.envs.episodes import make_task
 
 NEVER = 10_000
 PUSH_OVER = [(8, 0), (8, 13, 60)]
@@ -25,7 +25,7 @@ REACHED_M = 0.6
 
 def follow(name, script, steps, **options):
     """Follow `script` in five episodes; return the task and the step of each episode's first success (0: none)."""
-    task = make_task(name, NUM_EPISODES, find_environment(name).task.Options(evaluation=True, **options))
+    task = make_task(name, NUM_EPISODES, evaluation=True, **options)
     ids = np.arange(NUM_EPISODES)
     task.reset(ids, ids)
     places = np.array([place[:2] for place in script], dtype=float)
