@@ -157,7 +157,7 @@ class Body(ABC):
     control_map: tuple[F64Array, F64Array] | None = None
     """Offset and factor [A] that make the model's controls from those of a policy; None if they are the same."""
     scale: float = 1.0
-    """Metres that count as one: worlds, distances and rewards are made for the ant, and are this much larger here."""
+    """Size relative to the ant's, for which worlds are made: metres of their unit of length."""
     timestep_s: float = 0.02
     """Physics step."""
     frame_skip: int = 5
@@ -240,5 +240,5 @@ class Body(ABC):
         return None
 
     def position(self, qpos: F64Array, num_axes: int = 2) -> F64Array:
-        """Return x and y, or x, y and z, of robots at `qpos` [N, num_qpos], in multiples of `scale`."""
+        """Return x and y, or x, y and z, of robots at `qpos` [N, num_qpos], in units of `scale`."""
         return qpos[..., :num_axes] if self.scale == 1 else qpos[..., :num_axes] / self.scale

@@ -131,7 +131,7 @@ class Gather(Task):
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the nearest piece of food left [N] in metres; infinity if none is left."""
+        """Distance to the nearest piece of food left [N], in units of `scale`; infinity if none is left."""
         left = np.where(self.present[:, 0], self._squared_distance[:, 0], np.inf)
         return np.sqrt(left.min(axis=1))
 
@@ -168,7 +168,7 @@ class Gather(Task):
 
     @property
     def objects(self) -> F64Array:
-        """Positions of the objects [N, kind, object, xy] in metres, a view; kind 0 is food, kind 1 poison."""
+        """Positions of the objects [N, kind, object, xy] in units of `scale`, a view; kind 0 is food, 1 poison."""
         return np.moveaxis(self._places, 0, -1)
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
@@ -217,14 +217,10 @@ class Gather(Task):
 
     def observe(self) -> F64Array:
         """Return robot, readings (without what this step has collected), and time [N, O]."""
-        nq, nv = self.body.num_qpos, self.body.num_qvel
-        is_hiro = self.options.spec == "hiro"
-        out = self._observation
-        out[:, :nq] = self.sim.qpos
-        self.write_velocity(self.sim.qvel, out[:, nq : nq + nv])
-        readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
-        out[:, readings] = self._readings()
-        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv if is_hiro else -1])
+        out, is_hiro = self._observation, self.options.spec == "hiro"
+        end = self.write_robot(out)
+        out[:, slice(end + 1, None) if is_hiro else slice(end, -1)] = self._readings()
+        np.multiply(self.time, TIME_SCALE, out=out[:, end if is_hiro else -1])
         return out
 
     def _readings(self) -> F64Array:
