@@ -159,6 +159,7 @@ def test_commands_say_what_they_understood(robot, trained, capsys):
     facts = json.loads(printed("envs", "--robot", str(robot), "--json"))
     assert facts["symmetry"].startswith("6 turns (difference ")
     assert facts["root"].startswith("trunk, 12 joints")
+    assert facts["size"].startswith("0.42 of the ant's")
     assert f"root: {facts['root']}" in printed("envs", "--robot", str(robot))
     assert "hexapod" in json.loads(printed("info", str(trained), "--json"))["robot"]
 

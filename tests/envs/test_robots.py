@@ -138,6 +138,20 @@ def test_workers_receive_the_physics_alone_and_it_is_the_same(tmp_path):
     assert_allclose(*found, atol=1e-3)
 
 
+def test_worlds_have_the_size_and_mass_of_the_robot(tmp_path):
+    (tmp_path / "robot.xml").write_text(walker(6))
+    own = {"robot": str(tmp_path / "robot.xml"), "control_step": 0.013}
+    task = ROBOT_ENVIRONMENTS["push"].with_options(own).make(1)
+    assert task.step_s == pytest.approx(0.015)  # three physics steps
+    model, scale = task.sim.model, task.scale
+    assert scale == pytest.approx(0.42)
+    assert_allclose(model.geom("block").size, np.array([4, 4, 2]) * scale)
+    assert_allclose(model.body("block").mass, 0.0002 * model.body_subtreemass[1] / 0.911)
+    task.reset(np.array([0]), [3])
+    assert_allclose(task.position * scale, task.observe()[:, task.position_columns])
+    assert_allclose(task.distance, np.hypot(*(np.array([[0.0, 19.0]]) - task.position).T))
+
+
 # What is refused.
 
 MOTOR_A, MESH = '<motor joint="a" ctrlrange="-1 1"/>', '<asset><mesh name="m" file="{}"/></asset>'

@@ -30,10 +30,8 @@ _AXIS_COSINE = 0.99
 class Element:
     """A rotation about the vertical or a reflection of a body, as it acts on a `FreeBody`."""
 
-    view: F64Array
-    """Its matrix for the egocentric view [V, V]."""
-    controls: F64Array
-    """Its signed permutation of controls [A, A]."""
+    matrices: tuple[F64Array, F64Array]
+    """How it acts on the egocentric view [V, V], and on controls [A, A]: a signed permutation."""
     residual: float
     """Median difference of accelerations, relative to their size."""
 
@@ -52,11 +50,7 @@ class FoundSymmetry:
         known = self.turn or mirror
         if known is None:
             return None
-        turn, flip = (
-            (np.eye(len(known.view)), np.eye(len(known.controls))) if each is None else (each.view, each.controls)
-            for each in (self.turn, mirror)
-        )
-        return dihedral_group(self.num_turns, turn, flip, is_mirrored=mirror is not None)
+        return dihedral_group(self.num_turns, known.matrices, mirror and mirror.matrices)
 
 
 def find_symmetry(
@@ -116,7 +110,7 @@ class _Kinematics:
         spin = np.linalg.det(rotation).round() * rotation
         residual = self._residual(_block_diagonal(rotation, spin, joints), controls)
         view = _block_diagonal(np.eye(1), rotation[:2, :2], rotation, spin, joints, joints)
-        return Element(view=view, controls=controls, residual=residual) if residual <= TOLERANCE else None
+        return Element(matrices=(view, controls), residual=residual) if residual <= TOLERANCE else None
 
     def _joints(self, rotation: F64Array) -> F64Array | None:
         """Return the signed permutation of the joints [J, J], or None if a joint has no partner of its own."""

@@ -14,7 +14,7 @@ from typing import Annotated
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body
+from shes.envs.bodies.body import Body, add_motor
 from shes.envs.bodies.free_body import FreeBody, free_elements
 from shes.envs.bodies.robot_file import RobotFile, compiled, read_robot
 from shes.envs.worlds import CELL_SIZE_M
@@ -124,14 +124,14 @@ class Robot(FreeBody):
         if not free:
             raise ConfigError(f"robot {self.name!r} has no body with a free joint. Add <freejoint/> to its root body.")
         root = max(free, key=lambda body: len(body.find_all("joint")))
-        if torque is not None and len(spec.actuators):
+        if torque is None:
+            return spec, root
+        if len(spec.actuators):
             raise ConfigError(f"robot {self.name!r} has actuators of its own. Omit --motors.")
-        for number, joint in enumerate(root.find_all("joint") if torque is not None else ()):
+        for number, joint in enumerate(root.find_all("joint")):
             if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
                 joint.name = joint.name or f"joint_{number}"
-                motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-                motor.set_to_motor()
-                motor.ctrllimited, motor.ctrlrange = True, [-torque, torque]
+                add_motor(spec, joint.name, torque)
         return spec, root
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
