@@ -24,11 +24,14 @@ from tests.envs.robot_files import FILTER, SERVO, robot_of, sides, walker
 
 UNEVEN = '<geom size=".1" pos=".1 .1 .1" mass="{}"/>'
 MIRRORED, TWICE = (".1 .6", "-.6 -.1"), '<motor joint="{0}" ctrlrange="-2 2"/><position joint="{0}" kp="20"/>'
+GAIN = '<general joint="{}" dyntype="filter" dynprm=".1" gainprm="5" ctrlrange="-2 2"/>'
 ROBOTS = {
     **{f"{legs} legs": (walker(legs), legs, True) for legs in (3, 4, 5, 6, 8)},
     "servos": (walker(6, actuator=SERVO), 6, True),
     "filtered": (walker(4, actuator=FILTER), 4, True),
     "two actuators at a joint": (walker(4, actuator=TWICE), 4, True),
+    "filters of two gains": (walker(4, actuator=GAIN).replace('gainprm="5"', 'gainprm="15"', 1), 1, False),
+    "motors stronger to one side": (walker(4, actuator='<motor joint="{}" ctrlrange="-3 5"/>'), 4, False),
     "ranges that mirror": (walker(4, actuators=sides(*MIRRORED)), 1, True),
     "ranges that do not": (walker(4, actuators=sides(MIRRORED[0], MIRRORED[0])), 4, False),
     "ranges of two sizes": (walker(4, actuators=sides("-.6 .6", "-.3 .3")), 1, False),

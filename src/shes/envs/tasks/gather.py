@@ -15,7 +15,7 @@ import numpy as np
 from shes.envs.bodies.body import Body, ObservationElement
 from shes.envs.markers import FOOD, POISON, Marker
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, FallOptions, Task, TaskDescription, TaskOptions
-from shes.envs.worlds import add_square_walls, empty_world
+from shes.envs.worlds import add_square_walls
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NUM_OBJECTS = 8
@@ -85,14 +85,12 @@ class Gather(Task):
         self._squared_distance: F64Array = xp.zeros(self.present.shape)
 
     @classmethod
-    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the arena, a free square between walls; objects are not geoms."""
-        if options.spec == "shes":
-            return super().build_world(body, options)
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, body.timestep_s)
-        add_square_walls(spec, HIRO_WALLS_M, body.scale)
-        body.add_to(spec)
-        return spec
+    def add_walls(cls, spec: mujoco.MjSpec, body: Body, options: TaskOptions) -> None:
+        """Add the walls of the arena to `spec`, a free square between them; objects are not geoms."""
+        if options.spec == "hiro":
+            add_square_walls(spec, HIRO_WALLS_M, body.scale)
+        else:
+            super().add_walls(spec, body, options)
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:

@@ -187,10 +187,15 @@ class Task(EpisodeBatch):
         is_stiff = getattr(options, "stiff_contacts", "B" in "".join(cls.grid))
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator, body.timestep_s, stiff_contacts=is_stiff)
         body.add_to(spec, cls.ground_m * body.scale)
-        add_grid(spec, cls.grid, body.scale, body.block_factor)
+        cls.add_walls(spec, body, options)
         if body.scale != 1:
             spec.add_numeric(name=SCALE, data=[body.scale], size=1)
         return spec
+
+    @classmethod
+    def add_walls(cls, spec: mujoco.MjSpec, body: Body, options: TaskOptions) -> None:  # noqa: ARG003 - as in Gather
+        """Add the walls, platforms and blocks of `grid` to `spec`."""
+        add_grid(spec, cls.grid, body.scale, body.block_factor)
 
     @property
     @abstractmethod
