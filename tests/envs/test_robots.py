@@ -141,13 +141,16 @@ def test_workers_receive_the_physics_alone_and_it_is_the_same(tmp_path):
 def test_worlds_have_the_size_and_mass_of_the_robot(tmp_path):
     (tmp_path / "robot.xml").write_text(walker(6))
     own = {"robot": str(tmp_path / "robot.xml"), "control_step": 0.013}
-    task = ROBOT_ENVIRONMENTS["push"].with_options(own).make(1)
+    task = ROBOT_ENVIRONMENTS["push"].with_options(own).make(20)
     assert task.step_s == pytest.approx(0.015)  # three physics steps
     model, scale = task.sim.model, task.scale
     assert scale == pytest.approx(0.42)
     assert_allclose(model.geom("block").size, np.array([4, 4, 2]) * scale)
     assert_allclose(model.body("block").mass, 0.0002 * model.body_subtreemass[1] / 0.911)
-    task.reset(np.array([0]), [3])
+    task.reset(np.arange(20), range(20))
+    assert 0.07 * scale < np.abs(task.sim.qpos[:, :2]).max() < 0.1 * scale  # the noise of a reset
+    assert (task.sim.qpos[:, 2] >= task.body.home[2]).all()
+    assert_allclose(task.observe()[:, -2:], [[0, 19 * scale]] * 20)
     assert_allclose(task.position * scale, task.observe()[:, task.position_columns])
     assert_allclose(task.distance, np.hypot(*(np.array([[0.0, 19.0]]) - task.position).T))
 
