@@ -18,11 +18,11 @@ import pytest
 import shes
 from shes.cli import main
 from shes.cli.program import COMMANDS
-from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task
-from shes.envs.tasks.task import TaskOptions
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment
 from shes.runs.config import known_settings
 from shes.settings import flag
 from tests.browser import find_browser, layout_faults
+from tests.envs.episodes import make_task
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
 
@@ -110,7 +110,7 @@ def test_an_environments_page_lists_its_observations_and_actions(site, pages, na
     task = make_task(name, 1)
     shown = [[row[1] for row in rows] for _, *rows in tables(pages[f"environments/{name}.html"])]
     for spec in task.specs:
-        assert [each.name for each in make_task(name, 1, TaskOptions(spec=spec)).observation_spec] in shown
+        assert [each.name for each in make_task(name, 1, spec=spec).observation_spec] in shown
     assert list(task.body.controls) in shown
     assert (site / "environments" / f"{name}.png").stat().st_size > 1000
     assert f'href="{name}.html"' in pages["environments/index.html"]

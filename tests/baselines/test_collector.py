@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from shes.baselines.collector import Actor
-from shes.envs.named_environments import make_task, register_external
-from shes.envs.tasks.task import TaskOptions
+from shes.envs.named_environments import register_external
 from shes.errors import ConfigError, DivergenceError
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
+from tests.envs.episodes import make_task
 
 INTERVAL, HORIZON = 4, 10
 SETTINGS = {"hidden": (5,), "horizon": HORIZON, "generation_steps": 50}
@@ -49,7 +49,7 @@ def collect(learner, num_steps=1):
 
 def test_a_goal_of_the_ant_is_all_of_its_coordinates():
     env = "ant-push"  # which observes a block, too
-    design, task = algorithm(env=env, spec="hiro").design, make_task(env, 1, TaskOptions(spec="hiro"))
+    design, task = algorithm(env=env, spec="hiro").design, make_task(env, 1, spec="hiro")
     assert design.half_range == (10, 10, 0.5, 1, 1, 1, 1, 0.5, 0.3, 0.5, 0.3, 0.5, 0.3, 0.5, 0.3)
     task.reset(np.array([0]), [1])
     np.testing.assert_array_equal(design.coordinates(task.observe(), task.position), task.sim.qpos[:, :15])

@@ -18,7 +18,6 @@ from shes.envs.bodies.point import Point
 from shes.envs.named_environments import (
     INCLUDED,
     find_environment,
-    make_task,
     register_environment,
     register_external,
 )
@@ -30,7 +29,7 @@ from shes.viewing.playback import Playback
 from tests.contracts import test_task_contract as contract
 from tests.e2e import runs
 from tests.e2e.own_classes import Corner
-from tests.envs.episodes import assert_same_view, draw_actions, play, view
+from tests.envs.episodes import assert_same_view, draw_actions, make_task, play, view
 from tests.envs.external_envs import (
     MAX_STEPS,
     Body,

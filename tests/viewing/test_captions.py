@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from shes.envs.named_environments import make_task
 from shes.viewing.playback import Playback, input_words
 from shes.viewing.render import captioned
+from tests.envs.episodes import make_task
 
 LONG = "/home/somebody/experiments/point-gather/transfer/published/seed-3"
 FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
-from shes.envs.bodies.robot import read_robot, robot_stem
+from shes.envs.bodies.robot_file import read_robot, robot_stem
 from shes.envs.external_task import ExternalOptions
 from shes.envs.named_environments import ENVIRONMENTS, ROBOT_ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task import TaskOptions

@@ -102,7 +102,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         found["primitive"] = {
             "view": design.primitive_view.to_dict(),
             "goal_encoding": settings["goal_encoding"],
-            **_frames(design.symmetry or dihedral_group(1, own, own, is_mirrored=False)),
+            **_frames(design.symmetry or dihedral_group(1, own, None)),
         }
     if isinstance(design, GoalDesign) and design.controller_view is not None:
         network = design.networks["controller"]

@@ -18,7 +18,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from shes.envs.bodies.robot import read_robot, robot_stem
+from shes.envs.bodies.robot_file import read_robot, robot_stem
 from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import Checkpoint, load_checkpoint

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
-from shes.envs.bodies.robot import RobotOptions, read_robot
+from shes.envs.bodies.robot import RobotOptions
+from shes.envs.bodies.robot_file import read_robot
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
