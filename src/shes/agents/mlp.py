@@ -56,6 +56,7 @@ class MLP:
     """Activation of the hidden layers, `tanh` or `relu`. The output layer always has tanh."""
     is_tied: ClassVar[bool] = False
     """Whether weights share parameters, so that `expand` has to be called before `layers`."""
+    _first: slice | IntArray = slice(None)  # the first weight of each parameter
 
     @checked
     def __init__(
@@ -80,7 +81,7 @@ class MLP:
             parts += [weights.astype(np.float32), (bias * (biases != "zero")).astype(np.float32)]
         if output_weights == "zero":
             parts[-2:] = [np.zeros_like(part) for part in parts[-2:]]
-        return np.concatenate(parts)
+        return np.concatenate(parts)[self._first]
 
     def expand(self, theta: F32Array, xp: ModuleType = np) -> F32Array:
         """Return the weights and biases [P, W] of policies `theta` [P, D]: here the parameters themselves."""

@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from types import ModuleType
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -24,7 +23,6 @@ from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.settings import Settings
-from shes.sim.warp_device import WarpDevice
 from shes.types import F64Array
 
 
@@ -37,11 +35,6 @@ class Problem(EpisodeSetup):
     noise_table_size: int
     num_threads: int = 1
     """Number of threads that the parent process may use."""
-
-    @property
-    def xp(self) -> ModuleType:
-        """Module of the arrays on the device: NumPy or CuPy."""
-        return np if self.device == "cpu" else WarpDevice(self.device).xp
 
     def make_task(self, *, is_evaluation: bool = False) -> EpisodeBatch:
         """Return the environment for one episode. The caller closes it."""

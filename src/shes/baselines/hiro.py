@@ -151,7 +151,6 @@ class _HiroCollector(Collector):
         return {"controller": self.batch.running_return, "primitive": self._intrinsic_return}
 
     def _decide(self, rows: IntArray, rng: np.random.Generator) -> None:
-        """Let the controllers of episodes `rows` set new goals."""
         if not len(rows):
             return
         self._goal[rows] = self.actors[0].act(self.observation, rng)[rows]

@@ -38,11 +38,6 @@ class GenerationReport:
     """Duration of fitness, gradients, optimizer and statistics in seconds."""
 
 
-def num_steps(populations: tuple[Population, ...]) -> int:
-    """Return the number of environment steps of all episodes."""
-    return sum(int(each.results.steps.sum()) for each in populations)
-
-
 def sources_of_fitness(populations: tuple[Population, ...]) -> tuple[tuple[Population, int], ...]:
     """Return for each level the last population that evaluates it, and the level's place there."""
     sources = {level: (each, i) for each in populations for i, level in enumerate(each.levels)}
@@ -82,7 +77,7 @@ def evolve(
         state = replace(
             state,
             generation=state.generation + 1,
-            env_steps=state.env_steps + num_steps(populations),
+            env_steps=state.env_steps + sum(int(each.results.steps.sum()) for each in populations),
             levels=tuple(update.level for update in updates),
             running=next_running(populations[0], settings.horizon) if settings.estimates[0] is draw_pairs else None,
         )

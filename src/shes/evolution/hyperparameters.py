@@ -96,7 +96,6 @@ def _interval_estimate(settings: Any) -> IntervalEstimate:
 
 
 def _way_search(problem: Problem) -> WaySearch:
-    """Return the search for a way to the target of evaluation."""
     settings, task = problem.settings, problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [0])
     state, interval = task.states(np.array([0])), settings.hierarchy.controller_interval
@@ -176,7 +175,6 @@ def _check_frames(settings: Any) -> None:
 
 
 def _check_branches(settings: Any) -> None:
-    """Check that the primitive's episodes can be branched."""
     if find_environment(settings.run.env).has_own_physics:
         raise ConfigError(
             f"primitive_estimate is 'interval', but the physics of {settings.run.env} is its own and cannot be "

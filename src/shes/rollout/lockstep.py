@@ -194,7 +194,6 @@ class Rollout:
             level.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
 
     def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
-        """Write the parameters of a task into lane `place`."""
         for level, (own, mean) in enumerate(zip(self.agent.levels, means, strict=True)):
             noise = table.slice(task.noise_index[level], len(mean))
             scales = [sigma * signs[level] for signs in task.signs]
