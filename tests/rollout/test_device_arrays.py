@@ -82,10 +82,10 @@ def assert_close(mine, theirs, tolerance=1e-5):
     assert one.keys() == other.keys()
     for place, value in one.items():
         assert type(value) is type(other[place]), place
-        is_exact = np.asarray(value).dtype.kind != "f"
-        np.testing.assert_allclose(
-            *np.float64([value, other[place]]), *[0 if is_exact else tolerance] * 2, err_msg=place
-        )
+        if np.asarray(value).dtype.kind == "f":
+            np.testing.assert_allclose(value, other[place], rtol=tolerance, atol=tolerance, err_msg=place)
+        else:
+            np.testing.assert_array_equal(value, other[place], err_msg=place)
 
 
 @pytest.mark.parametrize(
