@@ -66,8 +66,6 @@ class LevelTransfer(ABC):
     A setting with the name of the level gives the other run, and `LEVEL_checkpoint` its checkpoint.
     """
 
-    name: ClassVar[str]
-    """Name of the level."""
     trained_by: ClassVar[str]
     """Runs that train such a level, for error messages."""
     advice: ClassVar[str]
@@ -83,11 +81,11 @@ class LevelTransfer(ABC):
     def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the level in words. Both runs must have the same."""
 
-    def move(self, source: Any, state: Any) -> Any:
-        """Return `state` with the parameters and statistics of the level in state `source`. Both have `levels`."""
-        theirs = next(level for level in source.levels if level.name == self.name)
+    def move(self, name: str, source: Any, state: Any) -> Any:
+        """Return `state` with the parameters and statistics of level `name` in state `source`. Both have `levels`."""
+        theirs = next(level for level in source.levels if level.name == name)
         levels = tuple(
-            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == self.name else level
+            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == name else level
             for level in state.levels
         )
         return replace(state, levels=levels)
@@ -221,11 +219,6 @@ class Algorithm(ABC, Generic[StateT]):
     def warnings(settings: Any) -> Sequence[str]:  # noqa: ARG004 - a subclass reads them
         """Return warnings about the settings, which are logged at the start of a run."""
         return ()
-
-    @staticmethod
-    def steps_per_generation(settings: Any) -> int:
-        """Return the environment steps of a generation if no episode ends early. By default it is one episode."""
-        return settings.episodes.horizon
 
     @staticmethod
     def population(settings: Any) -> tuple[int, int]:  # noqa: ARG004 - a subclass reads them

@@ -58,11 +58,6 @@ class TD3(Algorithm[TD3State]):
     collector: ClassVar[type[Collector]] = Collector
     """Class of the collector of experience."""
 
-    @staticmethod
-    def steps_per_generation(settings: Any) -> int:
-        """Return the environment steps of a generation, without the rest of the episodes that are then running."""
-        return settings.learner.generation_steps
-
     def __init__(self, problem: Problem) -> None:
         """Create agents and levels; raise ConfigError if TD3 cannot learn in this problem."""
         design = self.make_design(problem)

@@ -130,7 +130,6 @@ def _view(settings: Any, task: EpisodeBatch, setting: str) -> View:
 
 
 class _PrimitiveTransfer(LevelTransfer):
-    name = "primitive"
     trained_by = "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception"
     advice = (
         "Name a primitive of the same robot, trained with the same --spec by shes train ant-flagrun or point-flagrun, "
@@ -161,7 +160,6 @@ class _PrimitiveTransfer(LevelTransfer):
 
 
 class _ControllerTransfer(LevelTransfer):
-    name = "controller"
     trained_by = "shes train ant-gather, or another run of two levels"
     advice = "Name a controller of the same task, trained with the same --spec."
     suggested = ("controller_interval", "goal_distance", "minimum_goal_distance")

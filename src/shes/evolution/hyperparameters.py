@@ -56,17 +56,6 @@ def population(settings: Any) -> tuple[int, int]:
     return settings.evolution.population_size + branches, settings.evolution.episodes_per_policy
 
 
-def steps_per_generation(settings: Any) -> int:
-    """Return the environment steps of a generation if no episode and no branch ends early."""
-    evolution = settings.evolution
-    episodes = evolution.population_size * evolution.episodes_per_policy * settings.episodes.horizon
-    if not is_branched(settings) or not learns(settings)[-1]:
-        return episodes
-    members = settings.values.get("primitive_population_size") or evolution.population_size
-    branches = members * settings.estimate.intervals * settings.hierarchy.controller_interval
-    return branches if is_alone(settings) else episodes + branches
-
-
 def make_hyperparameters(problem: Problem) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
     settings = problem.settings

@@ -39,7 +39,6 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     check = staticmethod(hyperparameters.check_together)
     check_effects = staticmethod(hyperparameters.check_effects)
-    steps_per_generation = staticmethod(hyperparameters.steps_per_generation)
     population = staticmethod(hyperparameters.population)
     warnings = staticmethod(hyperparameters.warnings)
 

@@ -213,7 +213,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
                 f"Here there is: {ours}.\n"
                 f"{own.advice}"
             )
-        state = own.move(source.state, state)
+        state = own.move(level, source.state, state)
         origins[level] = {
             "run": path,
             "env": source.config.run.env,
