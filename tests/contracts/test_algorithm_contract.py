@@ -16,6 +16,7 @@ from shes.algorithms.contract import Algorithm, Preset
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.es.perturbation import MIRRORINGS
 from shes.evolution import way_search
+from shes.evolution.estimates import draw_episodes
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig, known_settings
@@ -294,6 +295,7 @@ def test_mirrorings_and_views_can_be_registered(monkeypatch):
             registry["own"] = ColumnsView
     asked = {"mirrored": "threefold", "population_size": 6, "primitive_view": "first", "controller_view": "first"}
     built = build_algorithm(make_config("point-gather", "smoke", {**asked, "hidden": ()}))
-    assert built.hyperparameters.signs(0).tolist() == [[[1, 1]] * 3] * 2
+    draws = draw_episodes(built.start(0), built.hyperparameters, built.table.size)
+    assert draws.signs.tolist() == [[[1, 1]] * 3] * 2
     assert [policy.sizes[0] for policy in built.design.policies] == [1, 3 + 1]
     assert "threefold: Three members" in known_settings()["mirrored"].text

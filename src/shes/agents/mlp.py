@@ -100,12 +100,8 @@ class MLP:
             start = end + fan_out
         return tuple(found)
 
-    def act(self, theta: F32Array, observation: F32Array) -> F32Array:
-        """Return the outputs [P, R, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, R, O]."""
-        return self.forward(self.layers(self.expand(theta)), observation)
-
     def forward(self, layers: Layers, observation: F32Array, mean: Layers = (), rows: Rows = ()) -> F32Array:
-        """Return the outputs [P, R, A] of policies on normalised `observation` [P, R, O].
+        """Return the outputs [P, R, A] in [-1, 1] of policies on normalised `observation` [P, R, O].
 
         The R rows of a lane may share noise N, which is read once for all of them: `x (W + s N) = x W + s (x N)`. With
         few rows, a matmul with separate weights for each policy would be limited by memory bandwidth.

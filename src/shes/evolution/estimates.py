@@ -128,11 +128,6 @@ class Hyperparameters:
             return (draw_episodes,)
         return (draw_pairs,) if len(self.learns) == 1 else (draw_episodes, draw_pairs)
 
-    def signs(self, generation: int) -> Signs:
-        """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
-        own = self.evolution
-        return member_signs(self.perturbation, own.mirrored, own.population_size, self.by_episodes, generation)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
@@ -167,7 +162,7 @@ def draw_episodes(
     """Return the members that whole episodes evaluate in the generation that follows `state`."""
     generation, archive, own = state.generation, state.archive, settings.evolution
     levels = tuple(LevelParameters.of(level.theta, level.statistics) for level in state.levels)
-    signs = settings.signs(generation)
+    signs = member_signs(settings.perturbation, own.mirrored, own.population_size, settings.by_episodes, generation)
     is_searching = archive is not None and not archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
