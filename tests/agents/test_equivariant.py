@@ -78,7 +78,7 @@ def test_pooled_sums_are_averages_over_exchanged_inputs(name):
     assert pooled_squares.sum() == pytest.approx(squares.sum())
 
 
-def test_outputs_along_a_sector_give_a_goal_at_full_distance_there():
+def test_outputs_along_a_sector_give_a_goal_at_full_distance():
     """Equal outputs cancel; that goals turn with the outputs is in `rollout/test_agent.py`."""
     along = np.cos(-np.pi + (np.arange(10) + 0.5) * np.pi / 5)
     goals = SectorOutput(10, HeadingVectorOutput()).vector(np.stack([along, np.ones(10)]), np.zeros(2), 4.0)
