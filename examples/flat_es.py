@@ -1,7 +1,7 @@
 """A flat evolution strategy: one network from observation to action, no hierarchy, no worker processes.
 
-All policies of a generation run at once: one batch of simulations, one stacked matrix product per layer and step. This
-is the library by hand; `shes train point-gather --algorithm es` adds workers, checkpoints and evaluations.
+All policies of a generation run at once: one batch of simulations, one stacked matrix product per layer and step.
+`shes train point-gather --algorithm es` does the same with workers, checkpoints and evaluations.
 """
 
 import numpy as np
