@@ -245,7 +245,6 @@ class Settings:
     """Base class of settings: a frozen dataclass that checks its values on construction."""
 
     def __post_init__(self) -> None:
-        """Check and convert every value; see `Setting.checked`."""
         for setting in setting_fields(type(self)).values():
             object.__setattr__(self, setting.name, setting.checked(getattr(self, setting.name)))
         self.check()

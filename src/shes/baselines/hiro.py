@@ -47,7 +47,6 @@ class _HiroAgent(AgentBatch["HiroDesign"]):
         self._view = design.primitive_view.on(xp)
 
     def act(self, inputs: AgentInputs) -> F32Array:
-        """Return the controls [N, A] of one step, after setting new goals where due."""
         design, size, observation = self.design, self.design.decision_size, inputs.observation
         coordinates = design.coordinates(observation, inputs.position)
         is_due = self.clock % design.controller_interval == 0

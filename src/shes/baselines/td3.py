@@ -135,7 +135,6 @@ class TD3(Algorithm[TD3State]):
             batch.close()
 
     def _generation(self, state: TD3State, collector: Collector, learners: Mapping[str, Any]) -> Report[TD3State]:
-        """Return the report of the generation that follows `state`."""
         own, start, env_steps = self.settings, perf_counter(), state.env_steps
         is_random = env_steps < own.warmup_steps
         num_steps = own.warmup_steps - env_steps if is_random else own.generation_steps

@@ -69,11 +69,11 @@ def evolve(
         levels = zip(state.levels, settings.updates, settings.learns, sources, strict=True)
         for level, rule, learns, (source, i) in levels:  # each level has its own fitness
             results, signs, noise_index = source.results, source.signs[:, :, i], source.noise_index[i]
-            if learns:
-                level = replace(level, statistics=level.statistics.merge(**vars(results.statistics[i])))  # noqa: PLW2901
+            statistics = level.statistics.merge(**vars(results.statistics[i])) if learns else level.statistics
+            observed = replace(level, statistics=statistics)
             fitness = rule.shape(results.fitness[i], signs, results.has_fallen.mean(axis=1))
             # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
-            updates.append(update_level(level, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
+            updates.append(update_level(observed, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
         state = replace(
             state,
             generation=state.generation + 1,
