@@ -84,8 +84,9 @@ def test_a_class_is_made_with_its_own_options():
     values = {"radius": 2.0, "size": 4, "other": 1}
     assert make(SHAPES, "ball", values) == Ball(radius=2.0)
     assert type(make(SHAPES, "point", values)) is Point
-    with pytest.raises(UnknownNameError, match=r"unknown shape 'bal'. Did you mean 'ball'"):
-        make(SHAPES, "bal", values)
+    for wrong in (lambda: make(SHAPES, "bal", values), lambda: Section(shape="bal")):
+        with pytest.raises(UnknownNameError, match=r"unknown shape 'bal'\. Did you mean 'ball'\?.* Set --shape\."):
+            wrong()
 
 
 def shape(**options):
