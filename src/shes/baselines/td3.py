@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any, ClassVar
@@ -123,16 +124,14 @@ class TD3(Algorithm[TD3State]):
         """Yield a report after every generation from `state` on, indefinitely. `backend` is not used."""
         self.check_installed(self.problem.settings.run.algorithm)
         learning = importlib.import_module(LEARNING)
-        batch, actors = self.problem.env.make(self.settings.num_envs, self.problem.training), map(Actor, self.levels)
-        try:
-            collector = self.collector(batch, self.design, tuple(actors), self.problem.horizon, self.settings)
+        with closing(self.problem.env.make(self.settings.num_envs, self.problem.training)) as batch:
+            actors = [Actor(level) for level in self.levels]
+            collector = self.collector(batch, self.design, actors, self.problem.horizon, self.settings)
             while True:
                 with learning.plain_settings():
                     report = self._generation(state, collector, learning.make_learners(self.levels, state.learners))
                 state = report.state
                 yield report
-        finally:
-            batch.close()
 
     def _generation(self, state: TD3State, collector: Collector, learners: Mapping[str, Any]) -> Report[TD3State]:
         own, start, env_steps = self.settings, perf_counter(), state.env_steps
