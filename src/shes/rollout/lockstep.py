@@ -237,7 +237,7 @@ class Rollout:
             results = lane.results
             results.outcomes[k] = outcomes[i]
             for policy, mine, summed in zip(self.design.policies, results.moments or (), moments, strict=False):
-                for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
+                for taken, of_all in zip(vars(mine).values(), summed, strict=True):
                     taken[k] = of_all[i]
                 policy.pool(mine.total[k], mine.total_squares[k])
             has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
@@ -280,11 +280,8 @@ class Rollout:
         outcomes["returns"] = outcomes["environment_returns"][:, None]
         if self.design.has_intrinsic_reward:
             outcomes["returns"][:, -1] = intrinsic_return[:, 0]
-        moments = [
-            tuple(to_host(sums[ids]) for sums in (own.moments.count, own.moments.total, own.moments.total_squares))
-            for own in agent.levels
-            if own.is_recording
-        ]
+        recorded = (vars(own.moments).values() for own in agent.levels if own.is_recording)
+        moments = [tuple(to_host(sums[ids]) for sums in each) for each in recorded]
         return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:
