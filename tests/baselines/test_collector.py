@@ -34,17 +34,14 @@ def collector_of(learner, *, is_random=True):
 
 
 def collect(learner, num_steps=1):
-    """Return the transitions of a generation by level, the rewards of its steps, and the collector."""
-    collector, batch, _ = collector_of(learner)
-    blocks, rewards = [], []
-    for block in collector.run(num_steps, count(), np.random.default_rng(0)):
-        blocks.append(block)
-        rewards.append(batch.reward.copy())
+    """Return the transitions of a generation by level, and the collector."""
+    collector, _, _ = collector_of(learner)
+    blocks = list(collector.run(num_steps, count(), np.random.default_rng(0)))
     joined = {
         name: {key: np.concatenate([block[name][key] for block in blocks]) for key in blocks[0][name]}
         for name in blocks[0]
     }
-    return joined, np.array(rewards), collector
+    return joined, collector
 
 
 def test_a_goal_of_the_ant_is_all_of_its_coordinates():
@@ -71,11 +68,11 @@ def test_a_goal_of_other_robots_is_their_position():
 
 def test_episodes_begin_until_the_steps_are_made_and_all_end():
     """No time limit cuts a return, not even one of the environment's own."""
-    rows, _, collector = collect(algorithm("td3", num_envs=2), num_steps=25)
+    rows, collector = collect(algorithm("td3", num_envs=2), num_steps=25)
     assert collector.num_steps == len(rows["policy"]["reward"]) == 40  # two at a time take 20 steps, then 40
     assert [episode["steps"] for episode in collector.episodes] == [HORIZON] * 4
     register_external("pendulum-of-7-steps", lambda: gymnasium.make("Pendulum-v1", max_episode_steps=7))
-    rows, _, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
+    rows, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
     assert rows["policy"]["goes_on"].tolist() == [1] * 14
     assert [(each["steps"], each["terminated"]) for each in collector.episodes] == [(7, 0), (7, 0)]
 

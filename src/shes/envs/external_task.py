@@ -27,7 +27,7 @@ from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameEr
 from shes.machine import resident_memory
 from shes.registry import full_name
 from shes.settings import Example
-from shes.sim.simulator import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
+from shes.sim.simulator import DIVERGENCE, CpuSimulator, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
 _LOG = logging.getLogger("shes.run")
@@ -102,7 +102,7 @@ class ExternalTask(EpisodeBatch):
                 observation, info = env.reset(seed=int(seed) % _NUM_SEEDS, **options)
                 physics = find_physics(env)
                 if physics is not None:
-                    forget_divergences(physics)
+                    physics.warning.number[DIVERGENCE] = 0  # as `mj_resetData` does
                 self._record(i, env, observation, 0.0, info)
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
@@ -129,7 +129,7 @@ class ExternalTask(EpisodeBatch):
         is_number = np.abs(row) <= LARGEST  # False for NaN, too
         is_broken = bool(info.get("diverged", False)) or not (abs(reward) <= LARGEST and is_number.all())
         self._rows[i] = np.where(is_number, row, 0.0)
-        self.diverged[i] |= is_broken or (physics is not None and count_divergences(physics) > 0)
+        self.diverged[i] |= is_broken or (physics is not None and physics.warning.number[DIVERGENCE].any())
         if self.diverged[i]:
             self.reward[i] = self._score[i] = self._success[i] = 0
             return

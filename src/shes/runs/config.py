@@ -31,11 +31,7 @@ class RunSettings(Settings):
 
     env: str
     """Environment name (see `shes envs`) or `gymnasium:ID`."""
-    algorithm: Annotated[
-        str,
-        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE.", is_described=True),
-        Shown(everyday=True),
-    ] = "shes"
+    algorithm: Annotated[str, Choices(ALGORITHMS), Shown(everyday=True)] = "shes"
     """Algorithm."""
     preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
     """Preset of the other settings."""
@@ -57,7 +53,7 @@ class RunSettings(Settings):
 class WorkerSettings(Settings):
     """Workers."""
 
-    backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
+    backend: Annotated[str, Choices(BACKENDS), Execution()] = "processes"
     """Engine that runs the episodes on the CPU."""
     num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
     """Worker processes; 0 is one for every core. Does not affect results."""

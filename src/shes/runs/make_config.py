@@ -24,7 +24,7 @@ from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, ch
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.runs.shipped import find_run, shipped_name
-from shes.settings import flag, setting_fields
+from shes.settings import Needs, flag, setting_fields
 
 
 def make_config(env: str | None, preset: str | None = None, overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -136,7 +136,7 @@ def check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."
             )
-        needed = [(need, config.values[need.other]) for need in setting.needs]
+        needed = [(need, config.values[need.other]) for need in setting.all_of(Needs)]
         if not needed or any(value in need.values if need.values else value is not None for need, value in needed):
             continue
         first, found = needed[0][0], ", ".join(f"{need.other} {value!r}" for need, value in needed)
@@ -222,7 +222,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
                 f"Here there is: {ours}.\n"
                 f"{own.advice}"
             )
-        state = own.move(source.state, state)
+        state = own.move(level, source.state, state)
         record = source.folder.read_record() if shipped_name(source.folder.path) is None else {}  # its name says enough
         origins[level] = {
             "run": path,
