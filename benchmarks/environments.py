@@ -18,7 +18,7 @@ import numpy as np
 from run import LAPTOP, SECONDS, bench, write_csv
 
 import shes  # noqa: F401 - registers the environments
-from shes.envs.named_environments import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS
 
 NUM_ENVS = 64
 STEPS = 40
@@ -41,7 +41,7 @@ def tasks() -> list[dict[str, object]]:
 
 def bare_steps_per_s() -> float:
     """Return control steps per second of an `mj_step` loop on Ant Gather with random controls, without resets."""
-    task = make_task("ant-gather", 1)
+    task = ENVIRONMENTS["ant-gather"].make(1)
     data = mujoco.MjData(task.sim.model)
     controls = np.random.default_rng(0).uniform(-30, 30, (NUM_ENVS * STEPS, task.action_size))
     start = perf_counter()

@@ -14,7 +14,7 @@ from PIL import Image
 
 from shes.drawing.renderer import CAMERAS
 from shes.envs.gymnasium_ids import MAX_EPISODE_STEPS, gymnasium_id
-from shes.envs.named_environments import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task import Task, TaskOptions
 from shes.settings import setting_fields
 
@@ -36,7 +36,7 @@ def picture(name: str) -> bytes:
 
 def environment_table() -> str:
     """Return the table of all environments."""
-    tasks = {name: make_task(name, 1) for name in ENVIRONMENTS}
+    tasks = {name: ENVIRONMENTS[name].make(1) for name in ENVIRONMENTS}
     rows = [
         (
             f"[{name}]({name}.md)",
@@ -53,7 +53,7 @@ def environment_table() -> str:
 
 def environment_page(name: str) -> str:
     """Return the page of environment `name`."""
-    task, gym_id = make_task(name, 1), gymnasium_id(name)
+    task, gym_id = ENVIRONMENTS[name].make(1), gymnasium_id(name)
     return "\n\n".join(
         [
             f"# {name}",
@@ -112,7 +112,7 @@ def _hiro(name: str, task: Task) -> list[str]:
     """Return the section on the `hiro` variant, if the task has one."""
     if "hiro" not in task.specs:
         return []
-    other = make_task(name, 1, TaskOptions(spec="hiro"))
+    other = ENVIRONMENTS[name].make(1, TaskOptions(spec="hiro"))
     hidden = [f"`{each.name}`" for i, each in enumerate(other.observation_spec) if i not in other.primitive_view]
     gym_id, integrator = gymnasium_id(name, "hiro"), other.options.integrator
     intro = f"`{gym_id}`, `--spec hiro`: {other.observation_size} numbers, integrator `{integrator}`."

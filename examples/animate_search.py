@@ -14,7 +14,7 @@ from shes.runs.build import open_run
 from shes.viewing.playback import Playback
 
 FRAMES, STILL_FRAMES = 60, 20
-"""Frames in which the search grows, and in which its result stays."""
+"""Frames that show the growing search, and frames that show its result."""
 COLOURS = {"wall": "0.45", "platform": "0.8", "block": "tab:brown"}
 
 

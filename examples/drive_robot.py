@@ -11,7 +11,7 @@ import numpy as np
 from run_exported import ExportedAgent
 
 FURTHEST = 6.0
-"""Distance of the goals given to the policy, times its scale: it was trained with near ones."""
+"""Largest distance of a goal that the policy gets, times its scale. It was trained with near goals."""
 
 
 def values_by_name(model, data):

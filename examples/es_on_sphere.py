@@ -1,4 +1,4 @@
-"""The evolution strategy alone, on plain vectors: ask for candidates, tell their fitness.
+"""The evolution strategy on plain vectors: ask for candidates, tell their fitness.
 
 It maximises the sphere function `-|x - target|^2`, whose maximum is 0 at the target.
 """

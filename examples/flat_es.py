@@ -1,13 +1,13 @@
 """A flat evolution strategy: one network from observation to action, no hierarchy, no worker processes.
 
-All policies of a generation run at once: one batch of simulations, one stacked matrix product per layer and step. This
-is the library by hand; `shes train point-gather --algorithm es` adds workers, checkpoints and evaluations.
+All policies of a generation run at once: one batch of simulations, one stacked matrix product per layer and step.
+`shes train point-gather --algorithm es` does the same with workers, checkpoints and evaluations.
 """
 
 import numpy as np
 
 from shes.agents.mlp import MLP
-from shes.envs.named_environments import make_task
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.envs.tasks.task import Task
 from shes.es import EvolutionStrategy
 
@@ -29,8 +29,8 @@ def play(task: Task, mlp: MLP, policies: np.ndarray, seeds: np.ndarray) -> np.nd
 
 def main() -> None:
     """Train, and print the return of the mean policy on a hundred test episodes every ten generations."""
-    task = make_task("point-gather", POLICIES * EPISODES)
-    test, test_seeds = make_task("point-gather", 100), np.arange(100)
+    task = ENVIRONMENTS["point-gather"].make(POLICIES * EPISODES)
+    test, test_seeds = ENVIRONMENTS["point-gather"].make(100), np.arange(100)
     mlp = MLP(task.observation_size, (16,), task.action_size)
     rng = np.random.default_rng(1)
     start = mlp.initial(rng)

@@ -1,4 +1,4 @@
-"""Search settings with Optuna: `pip install optuna`. A trial is a run; its value is its best score."""
+"""Search for good settings with Optuna (`pip install optuna`). A trial is a run, and its value is the best score."""
 
 import optuna
 

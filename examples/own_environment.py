@@ -1,4 +1,4 @@
-"""A custom environment, reach a beacon: defined in this script, trained on two worker processes."""
+"""A custom environment in which a point reaches a beacon, trained on two worker processes."""
 
 import numpy as np
 

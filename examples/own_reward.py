@@ -1,4 +1,4 @@
-"""A custom primitive reward: the intrinsic reward that the controller pays its primitive for each step.
+"""A custom primitive reward: the intrinsic reward of the primitive in each step.
 
 It rewards metres in the direction of the goal, also beyond the goal.
 """

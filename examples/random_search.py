@@ -1,4 +1,4 @@
-"""A custom algorithm: random search, which samples neighbours of the best policy and keeps a better one."""
+"""A custom algorithm: random search samples neighbours of the best policy and keeps one that is better."""
 
 # PYTHONPATH=examples shes train point-gather --import random_search --algorithm random-search --tries 32
 

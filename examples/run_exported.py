@@ -1,4 +1,4 @@
-"""Act with a policy that `shes export` wrote, by NumPy alone: `python run_exported.py policy.npz`.
+"""Act with a policy from `shes export`, using only NumPy: `python run_exported.py policy.npz`.
 
 docs/how-to/export.md documents the file. Vectors in the plane are complex numbers.
 """

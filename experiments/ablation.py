@@ -155,7 +155,10 @@ def _variants(bases: Mapping[str, Mapping[str, Any]], size: _Size) -> Iterator[t
             yield env, "choices", name, variant.changes
         for name in SWEPT:
             for factor in FACTORS:
-                yield env, "sweep", sweep_name(name, factor), _swept(bases[env], name, factor)
+                changes = multiplied(bases[env], name, factor)
+                if name == "population_size":
+                    changes |= _equal_steps(bases[env], changes)
+                yield env, "sweep", sweep_name(name, factor), changes
         for name, variant in _TRANSFERS.items():
             yield env, "transfer", name, variant.changes
     for steps in size.horizons:
@@ -168,12 +171,6 @@ def _base(env: str, size: _Size) -> dict[str, Any]:
     settings = {**_BASES[env], **size.settings}
     there = make_config(env, "laptop", settings).values
     return {**{name: there[name] for name in SWEPT}, **settings}
-
-
-def _swept(base: Mapping[str, Any], name: str, factor: float) -> dict[str, Any]:
-    """Return the changes for `factor` times the base's setting `name`; populations keep the environment steps."""
-    settings = multiplied(base, name, factor)
-    return {**settings, **_equal_steps(base, settings)} if name == "population_size" else settings
 
 
 def _equal_steps(base: Mapping[str, Any], changed: Mapping[str, Any]) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def _comparison(results: PlacedResults, env: str, own: tuple[str, str], other: t
         "measure": column,
         "seeds": len(values),
         "score_mean": float(values.mean()),
-        "score_error": _standard_error(values),
+        "score_error": float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None,
         "score_low": float(low[0]),
         "score_high": float(high[0]),
         "score_iqm": iqm,
@@ -96,10 +96,10 @@ def _facts(runs: Sequence[RunResults]) -> Row:
     """Return the means over the runs of a variant of what else is known of them."""
     rows, firsts = [run.row for run in runs], [run.curve[0] for run in runs if run.curve]
     return {
-        "env_steps": _mean(_known(rows, "env_steps")),
-        "primitive_env_steps": _mean(_known(firsts, "primitive_env_steps")),
-        "hours": _mean(_known(rows, "seconds"), unit=3600),
-        "primitive_hours": _mean(_known(firsts, "primitive_seconds"), unit=3600),
+        "env_steps": _mean(rows, "env_steps"),
+        "primitive_env_steps": _mean(firsts, "primitive_env_steps"),
+        "hours": _mean(rows, "seconds", unit=3600),
+        "primitive_hours": _mean(firsts, "primitive_seconds", unit=3600),
     }
 
 
@@ -150,19 +150,10 @@ def _mean_until(span: float, start: float, at: F64Array, scores: F64Array) -> fl
     return float(np.trapezoid(np.interp(grid, at, scores), grid) / span)
 
 
-def _known(rows: Sequence[Row], name: str) -> list[float]:
-    """Return the values of a column that are known."""
-    return [row[name] for row in rows if row.get(name) is not None]
-
-
-def _mean(values: Sequence[float], unit: float = 1) -> float | None:
-    """Return the mean of a sample in `unit`; None if it is empty."""
+def _mean(rows: Sequence[Row], name: str, unit: float = 1) -> float | None:
+    """Return the mean of the known values of a column in `unit`; None without any."""
+    values = [row[name] for row in rows if row.get(name) is not None]
     return float(np.mean(values)) / unit if values else None
-
-
-def _standard_error(values: Sequence[float] | F64Array) -> float | None:
-    """Return the standard error of the mean of a sample; None if it has less than two values."""
-    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
 
 # Statistics of samples of seeds.

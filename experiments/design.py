@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.evolution.hyperparameters import is_alone, is_branched, learns
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config, preset_values
 
@@ -216,6 +217,17 @@ def multiplied(base: Mapping[str, Any], name: str, factor: float) -> dict[str, A
     if name == "population_size":
         return {name: 4 * whole(value / 4)}
     return {name: whole(value) if isinstance(base[name], int) else value}
+
+
+def generation_steps(config: TrainConfig) -> int:
+    """Return the environment steps of a generation of evolution if no episode and no branch ends early."""
+    evolution = config.evolution
+    episodes = evolution.population_size * evolution.episodes_per_policy * config.episodes.horizon
+    if not is_branched(config) or not learns(config)[-1]:
+        return episodes
+    members = config.values.get("primitive_population_size") or evolution.population_size
+    branches = members * config.estimate.intervals * config.hierarchy.controller_interval
+    return branches if is_alone(config) else episodes + branches
 
 
 def whole(value: float) -> int:

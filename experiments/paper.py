@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from experiments.curve_figure import Curve, Panel, draw_curves
-from experiments.design import DrawFigure, Experiment, Measure, Pair, Run, find_size, whole, within
+from experiments.design import DrawFigure, Experiment, Measure, Pair, Run, find_size, generation_steps, whole, within
 from experiments.figures import forest
 from experiments.paper_settings import (
     OF_PRIMITIVE,
@@ -195,7 +195,7 @@ def _of_shes(size: Scale, run: Run, settings: Mapping[str, Any]) -> Run:
     if body not in size.evaluations:
         return run
     config = run.planned_config()
-    generations = settings["env_steps"] / config.algorithm.steps_per_generation(config)
+    generations = settings["env_steps"] / generation_steps(config)
     interval = whole(generations / size.evaluations[body])
     return replace(run, settings={**settings, "evaluation_interval": interval})
 

@@ -67,11 +67,7 @@ class PlacedResults:
 
 
 def read_summary(run: Run, out: Path) -> RunResults | None:
-    """Return the summary of a run in its folder below `out`; None if it is not finished.
-
-    Raises:
-        RunFolderError: It is damaged, or of a run with other settings.
-    """
+    """Return the summary of a run in its folder below `out`; None if it is not finished."""
     file = out / run.name / SUMMARY
     try:
         found = json.loads(file.read_bytes())
@@ -112,13 +108,14 @@ def read_tables(experiment: Experiment, out: Path, *, has_any_settings: bool = F
     """Return the results of runs in the tables at `out` by name; rows of other settings only if they may be any."""
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in _read(out / "curves.csv"):
-        curves.setdefault(_key(row), []).append(_results(row))
+        curves.setdefault(_key(row), []).append({name: row[name] for name in row if name != _DIGEST})
     rows = {_key(row): row for row in _read(out / "runs.csv")}
     found: dict[str, RunResults] = {}
     for run in experiment.ordered():
         row = rows.get(_key(run.identity))
         if row is not None and (has_any_settings or row[_DIGEST] == run.digest):
-            found[run.name] = RunResults(row=_results(row), curve=curves.get(_key(run.identity), []))
+            own = {name: row[name] for name in row if name != _DIGEST}
+            found[run.name] = RunResults(row=own, curve=curves.get(_key(run.identity), []))
     return found
 
 
@@ -142,10 +139,6 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 def joined(texts: Iterable[str | None]) -> str | None:
     """Return the different ones of `texts` after each other; None if there is none."""
     return "; ".join(dict.fromkeys(text for text in texts if text)) or None
-
-
-def _results(row: Row) -> Row:
-    return {name: value for name, value in row.items() if name != _DIGEST}
 
 
 def _key(row: Row) -> tuple[Any, ...]:

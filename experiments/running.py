@@ -51,15 +51,11 @@ def run_experiment(
         say: Receives lines about the progress.
         num_workers: Runs that are made at a time, or the workers of each large run; 0 is one for every core.
         backend: Backend of large runs.
-
-    Raises:
-        RunFolderError: `out` is in use, or a folder below it holds a run with other settings.
-        ConfigError: The settings of a run are not allowed.
-        MissingExtraError: A package is not installed that a run, or the comparison of the runs, needs.
-        StorageError: `out` cannot be written.
     """
     check_experiment(experiment, out, backend)
-    make = _maker(experiment, out, num_workers, backend)
+    workers = {"backend": backend, "num_workers": num_workers} if experiment.has_large_runs else dict(ALONE)
+    one = partial(finish, out=out, episodes=experiment.episodes, workers=workers)
+    at_once = 0 if experiment.has_large_runs else WorkerSettings(num_workers=num_workers).count
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
@@ -71,7 +67,8 @@ def run_experiment(
             ready = [run for run in stage if run.name in left]
             orphans = [run for run in ready if run.primitive is not None and run.primitive.name in failed]
             failed |= {run.name: "the run of its primitive failed" for run in orphans}
-            with closing(make([run for run in ready if run.name not in failed])) as outcomes:
+            ready = [run for run in ready if run.name not in failed]
+            with closing(side_by_side(one, at_once, ready)) as outcomes:
                 for run, error in outcomes:
                     ended += 1
                     rest = format_duration((monotonic() - start) / ended * (len(left) - ended))
@@ -134,20 +131,6 @@ def finish(run: Run, out: Path, episodes: int, workers: Mapping[str, Any] = ALON
     write_summary(run, out, summarise(run, out, episodes))
 
 
-_Make = Callable[[Sequence[Run]], Generator[tuple[Run, str]]]
-"""A function that makes runs, and yields each with its error; empty if there is none."""
-
-
-def _maker(experiment: Experiment, out: Path, num_workers: int, backend: str) -> _Make:
-    """Return how the runs of an experiment are made: one after another by all workers, or side by side."""
-    if experiment.has_large_runs:
-        workers = {"backend": backend, "num_workers": num_workers}
-        one = partial(finish, out=out, episodes=experiment.episodes, workers=workers)
-        return lambda runs: ((run, _error(one, run)) for run in runs)
-    one = partial(finish, out=out, episodes=experiment.episodes)
-    return partial(side_by_side, one, WorkerSettings(num_workers=num_workers).count)
-
-
 def _error(finish_one: Callable[[Run], None], run: Run) -> str:
     """Finish a run; return its error, empty if there is none. No error may stop the other runs."""
     try:
@@ -163,8 +146,9 @@ def _error(finish_one: Callable[[Run], None], run: Run) -> str:
 
 
 def side_by_side(finish_one: Callable[[Run], None], at_once: int, runs: Sequence[Run]) -> Generator[tuple[Run, str]]:
-    """Yield each run and its error when it has ended; `at_once` processes make them."""
-    if not runs:
+    """Yield each run and its error when it has ended; `at_once` processes make them, or this one if it is 0."""
+    if not at_once or not runs:
+        yield from ((run, _error(finish_one, run)) for run in runs)
         return
     context, cores, before = get_context("spawn"), core_numbers(), active_children()
     places = context.SimpleQueue()

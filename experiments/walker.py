@@ -18,6 +18,7 @@ from experiments.design import (
     Run,
     Variant,
     find_size,
+    generation_steps,
     multiplied,
     sweep_name,
     whole,
@@ -111,7 +112,7 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
     form = {**_FORM, **whole_episodes}
     branched = {name: base.get(name) for name in whole_episodes}
     config = make_config(ENV, _PRESET, base)
-    generations = math.ceil(size.env_steps / config.algorithm.steps_per_generation(config))
+    generations = math.ceil(size.env_steps / generation_steps(config))
     decay = {"sigma_end": base["sigma"] / 5, "schedule_generations": generations}
     return {
         "pieces": _pieces(whole_episodes),
@@ -187,5 +188,5 @@ def _settings(variant: Variant, size: _Size) -> dict[str, Any]:
     merged = {**_BASE, **size.settings, **variant.changes, "env_steps": size.env_steps}
     settings = {name: value for name, value in merged.items() if value is not None}
     config = make_config(ENV, _PRESET, settings)
-    steps = config.algorithm.steps_per_generation(config)
+    steps = generation_steps(config)
     return {**settings, "evaluation_interval": whole(size.evaluation_steps / steps)}

@@ -53,4 +53,5 @@ def cache_dir(tmp_path_factory):
     path = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SHES_CACHE_DIR", str(path))
+        patch.setattr(os, "fsync", lambda _: None)  # a third of a tiny run, and no test cuts the power
         yield path

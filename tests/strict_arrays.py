@@ -14,6 +14,8 @@ from functools import partial
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
+from shes.sim.simulator import CpuSimulator, Simulator
+
 _METHODS = frozenset(
     {"all", "any", "argmax", "argmin", "argsort", "astype", "clip", "copy", "cumsum", "fill", "flatten", "max", "mean"}
     | {"min", "prod", "ravel", "repeat", "reshape", "squeeze", "std", "sum", "swapaxes", "take", "transpose", "view"}
@@ -40,14 +42,7 @@ class DeviceArray(NDArrayOperatorsMixin):
     def tolist(self):
         return self.get().tolist()
 
-    def __bool__(self):
-        return bool(self.get())
-
-    def __int__(self):
-        return int(self.get())
-
-    def __float__(self):
-        return float(self.get())
+    __bool__, __int__, __float__ = (lambda self, kind=kind: kind(self.get()) for kind in (bool, int, float))
 
     @property
     def T(self):  # noqa: N802 - NumPy's name
@@ -122,6 +117,34 @@ class DeviceModule:
 
 
 strict_xp = DeviceModule()
+
+
+class DeviceSimulator(Simulator):
+    """MuJoCo on the CPU, seen through arrays of the device. Indices and states are arrays of the host."""
+
+    starts_together = True
+
+    def __init__(self, model, num_sims):
+        self._cpu = CpuSimulator(model, num_sims)
+        self.model, self.num_sims, self.xp = model, num_sims, strict_xp
+        for name in ("qpos", "qvel", "ctrl", "diverged"):
+            setattr(self, name, DeviceArray(getattr(self._cpu, name)))
+
+    def reset(self, ids):
+        self._on_host("reset", ids)
+
+    def states(self, ids):
+        return self._on_host("states", ids)
+
+    def set_states(self, ids, states):
+        self._on_host("set_states", ids, states)
+
+    def step(self, ids, nstep):
+        self._on_host("step", ids, nstep)
+
+    def _on_host(self, name, *given):
+        assert not any(isinstance(each, DeviceArray) for each in given)
+        return getattr(self._cpu, name)(*given)
 
 
 def _call(function, *args, **kwargs):

@@ -60,6 +60,16 @@ def test_an_example_is_short_and_what_it_prints_is_known(path):
     assert path.stem in PRINTS, "add the last line that it prints to PRINTS"
 
 
+def say(folder, *words):
+    """Run Python in a folder, with stand-ins for optional packages; return the last line that it prints."""
+    environment = {**os.environ, "PYTHONPATH": str(STAND_INS)}
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, cwd=folder, env=environment, timeout=110, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.splitlines()[-1]
+
+
 @pytest.mark.parametrize("path", [named(path) for path in EXAMPLES])
 def test_an_example_runs(path, tmp_path):
     if path.stem == "run_exported":
@@ -67,22 +77,15 @@ def test_an_example_runs(path, tmp_path):
     if path.stem == "drive_robot":
         run = shes.train("flagrun", robot=str(path.with_name("hexapod.xml")), out=tmp_path / "run", **SMALL)
         shes.export(run.path, tmp_path / "policy.npz")
-    environment = {**os.environ, "PYTHONPATH": str(STAND_INS)}
-    done = subprocess.run(
-        [sys.executable, path], capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=110, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert re.fullmatch(PRINTS[path.stem], done.stdout.splitlines()[-1]), done.stdout
+    last = say(tmp_path, path)
+    assert re.fullmatch(PRINTS[path.stem], last), last
 
 
 @pytest.mark.extras
 def test_trackio_takes_the_place_of_wandb(tmp_path):
     text = (EXAMPLES[0].parent / "wandb_logging.py").read_text(encoding="utf-8")
     (tmp_path / "logging_run.py").write_text(text.replace("import wandb", "import trackio as wandb"))
-    environment = {**os.environ, "PYTHONPATH": str(STAND_INS)}
-    command = [sys.executable, "logging_run.py"]
-    told = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
-    assert told.splitlines()[-1] == "logged 4 generations"
+    assert say(tmp_path, "logging_run.py") == "logged 4 generations"
 
 
 # Notebooks.

@@ -1,9 +1,6 @@
 """Files about the package agree with the package."""
 
-import os
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -33,7 +30,7 @@ def test_the_hooks_of_pre_commit_are_targets_of_make():
     assert {"lint", "imports", "type", "test"} == set(hooks) <= TARGETS
 
 
-def test_contributing_names_what_exists():
+def test_contributing_names_what_exists_and_every_marker():
     assert {target for words in re.findall(r"`make ([a-z -]+)`", CONTRIBUTING) for target in words.split()} <= TARGETS
     for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or "PACKAGE" in path or (ROOT / path).exists(), path
@@ -41,9 +38,6 @@ def test_contributing_names_what_exists():
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
     registries = {**vars(goals), **vars(rewards), **vars(export), **vars(program)}
     assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "LEARNERS", "PRINTS"}
-
-
-def test_contributing_names_every_marker():
     markers = {line.partition(":")[0] for line in PROJECT["tool"]["pytest"]["ini_options"]["markers"]}
     assert markers <= set(re.findall(r"`([a-z]+)`", CONTRIBUTING))
 
@@ -62,26 +56,3 @@ def test_the_constraints_pin_every_requirement_of_make(extra):
 def pinned(requirement):
     """Return the normalised name of a required package."""
     return re.sub(r"[-_.]+", "-", re.split(r"[\[<>=~!; ]", requirement)[0]).lower()
-
-
-@pytest.mark.extras
-def test_a_wheel_is_enough(tmp_path):
-    """No other file is needed to draw, plot and evaluate a shipped agent."""
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path / "dist", ROOT]
-    subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = (tmp_path / "dist").glob("*.whl")
-    assert wheel.stat().st_size < 10e6
-    site = tmp_path / "site"
-    subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", site, wheel], check=True)
-    environment = {**os.environ, "PYTHONPATH": str(site), "MUJOCO_GL": "off", "HOME": str(tmp_path)}
-    code = (
-        "import gymnasium, shes; print(shes.__file__); gymnasium.register_envs(shes);"
-        "shes.render('ant-gather', 'a.mp4', steps=2); shes.plot('ant-gather', 'a.png');"
-        "print(shes.evaluate('ant-maze', episodes=1, num_workers=1).steps);"
-        "env = gymnasium.make('shes:shes/AntPush-v0'); assert gymnasium.make(env.spec).spec == env.spec"
-    )
-    command = [sys.executable, "-c", code]
-    told = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
-    assert told == f"{site / 'shes' / '__init__.py'}\n[500.]\n"
-    assert {"a.mp4", "a.png"} <= {path.name for path in tmp_path.iterdir()}
-    assert (site / "shes" / "viewing" / "report_page.html").is_file()

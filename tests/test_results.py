@@ -16,10 +16,6 @@ RESULTS = Path(__file__).parents[1] / "results"
 CHECKPOINTS = sorted(RESULTS.glob("**/*.npz"))
 
 
-def test_there_are_policies_and_no_other_arrays():
-    assert {file.parent.name for file in CHECKPOINTS} == {"checkpoints"}
-
-
 @pytest.mark.parametrize(
     "file", sorted((*RESULTS.rglob("config.json"), *AGENTS.rglob("config.json"))), ids=lambda file: file.parent.name
 )

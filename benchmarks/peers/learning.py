@@ -1,7 +1,7 @@
 """Learners of the same walking task on the same cores: return over wall-clock and over environment steps.
 
 `python benchmarks/peers/learning.py --out results/peers` (an idle machine; 5 minutes for each of the runs, three seeds)
-trains on Ant Flagrun with
+trains on Ant Flagrun, or with `--robot FILE` on Flagrun with a robot, with
 
 - `shes`: this package, preset `laptop`, with more generations;
 - `ppo`: a single file of PPO over our vector environment, with the view of our walker (`ppo.py`);
@@ -10,10 +10,10 @@ trains on Ant Flagrun with
 - `evotorch-pgpe`: PGPE of EvoTorch with ClipUp on `GymNE`, as its authors publish it for Walker2d (`rl_clipup.py`,
   with horizon 500 instead of 1000, and without its bonus for staying alive, which this task does not have).
 
-The last two see the environment's own observations, as their users would have them. Evaluations (50 fresh episodes of
-500 steps, deterministic policies) do not count as training time, nor do imports and the start of workers, except those
-of `shes`. Writes `learning.csv` and its figure; runs that the table has are not made again. In an environment of its
-own:
+The last two see the environment's own observations, as their users would. Evaluations (50 fresh episodes, 100 of a
+robot, deterministic policies) do not count as training time, nor do imports and the start of workers, but for `shes`.
+Writes `learning.csv`, with a robot `FILE.csv`, and its figure; runs that the table has are not made again. In an
+environment of its own:
 
     pip install torch==2.13.0 stable-baselines3 evotorch shes
 """
@@ -27,13 +27,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-import walking
-from walking import HORIZON, Act
+from walking import Act, Walk
 
 sys.path.append(str(Path(__file__).parents[1]))
 from run import write_csv
@@ -47,12 +47,12 @@ POINTS = 15
 
 
 class Watch:
-    """Counts the seconds of training, and evaluates at even intervals beside them."""
+    """Counts the seconds of training, and evaluates at even intervals."""
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, walk: Walk, seconds: float) -> None:
         """Let training be over after `seconds`."""
         self.rows: list[dict[str, float]] = []
-        self.seconds, self._every, self._paused = seconds, seconds / POINTS, 0.0
+        self.walk, self.seconds, self._every, self._paused = walk, seconds, seconds / POINTS, 0.0
         self.begin()
 
     def begin(self) -> None:
@@ -70,7 +70,7 @@ class Watch:
 
     def note(self, seconds: float, env_steps: int, act: Act) -> None:
         """Evaluate."""
-        self.rows.append({"seconds": round(seconds, 1), "env_steps": env_steps, **walking.evaluate(act)})
+        self.rows.append({"seconds": round(seconds, 1), "env_steps": env_steps, **self.walk.evaluate(act)})
         print(self.rows[-1], file=sys.stderr, flush=True)
 
 
@@ -79,12 +79,13 @@ def train_shes(seed: int, watch: Watch) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run"
         settings: dict[str, Any] = {"evaluation_interval": 1_000_000, "keep_checkpoints": 1, "generations": 1_000_000}
-        shes.train(walking.NAME, seed=seed, minutes=watch.seconds / 60, out=path, progress=False, **settings)
+        settings |= {**watch.walk.robot, "seed": seed, "minutes": watch.seconds / 60}
+        shes.train(watch.walk.name, out=path, progress=False, **settings)
         table = read_csv(path / "progress.csv")
         times = table["wall_time_s"]
         for due in watch.seconds * np.arange(1, POINTS + 1) / POINTS:
             row = min(int(np.searchsorted(times, due)), len(times) - 1)
-            agent = shes.load(path, checkpoint=str(int(table["generation"][row])), num_envs=walking.EPISODES)
+            agent = shes.load(path, checkpoint=str(int(table["generation"][row])), num_envs=watch.walk.episodes)
             watch.note(float(times[row]), int(table["env_steps"][row]), agent.act)
 
 
@@ -93,8 +94,8 @@ def train_ppo(seed: int, watch: Watch) -> None:
     import ppo
 
     watch.begin()
-    for env_steps, policy in ppo.train(seed):
-        if watch.is_over(env_steps, lambda policy=policy: ppo.act(policy, walking.EPISODES)):
+    for env_steps, policy in ppo.train(watch.walk, seed):
+        if watch.is_over(env_steps, lambda policy=policy: ppo.act(watch.walk, policy)):
             return
 
 
@@ -112,7 +113,14 @@ def train_sb3(seed: int, watch: Watch) -> None:
     def act(observation: np.ndarray) -> np.ndarray:
         return model.predict(envs.normalize_obs(observation), deterministic=True)[0]
 
-    own = make_vec_env(walking.ENV, 2, seed=seed, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "spawn"})
+    own = make_vec_env(
+        watch.walk.env,
+        2,
+        seed=seed,
+        env_kwargs=watch.walk.robot,
+        vec_env_cls=SubprocVecEnv,
+        vec_env_kwargs={"start_method": "spawn"},
+    )
     envs = VecNormalize(own)
     model = PPO("MlpPolicy", envs, n_steps=1024, seed=seed, device="cpu")
     envs.reset()
@@ -121,14 +129,11 @@ def train_sb3(seed: int, watch: Watch) -> None:
     envs.close()
 
 
-def make_env() -> Any:
+def make_env(walk: Walk) -> Any:
     """Return the environment; EvoTorch calls this in its actors."""
     import gymnasium
 
-    import shes
-
-    assert shes
-    return gymnasium.make(walking.ENV)
+    return gymnasium.make(walk.env, **walk.robot)
 
 
 def train_evotorch(seed: int, watch: Watch) -> None:
@@ -140,12 +145,14 @@ def train_evotorch(seed: int, watch: Watch) -> None:
 
     torch.manual_seed(seed)
     speed, size = 0.015, 100
-    problem = GymNE(make_env, "Linear(obs_length, act_length)", observation_normalization=True, num_actors=2)
+    problem = GymNE(
+        partial(make_env, watch.walk), "Linear(obs_length, act_length)", observation_normalization=True, num_actors=2
+    )
     searcher = PGPE(
         problem,
         popsize=size,
         popsize_max=8 * size,
-        num_interactions=int(0.75 * HORIZON * size),
+        num_interactions=int(0.75 * watch.walk.horizon * size),
         center_learning_rate=0.75 * speed,
         stdev_learning_rate=0.1,
         stdev_max_change=0.2,
@@ -201,7 +208,7 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
         axis.set_xlabel(label)
         axis.grid(alpha=0.3)
     panels[1].set_xscale("log")
-    panels[0].set_ylabel("return of Ant Flagrun, 500 steps")
+    panels[0].set_ylabel("return of Flagrun")
     panels[0].legend()
     figure.tight_layout()
     figure.savefig(path, dpi=150)
@@ -211,39 +218,38 @@ def main() -> None:
     """Train what the table lacks, and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the table and the figure")
+    parser.add_argument("--robot", help="MJCF file of a robot; by default the ant")
     parser.add_argument("--only", nargs="+", choices=LEARNERS, default=list(LEARNERS))
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
     parser.add_argument("--seconds", type=float, default=300.0, help="seconds of training of each run")
     parser.add_argument("--one", nargs=2, metavar=("LEARNER", "SEED"), help="train one run, and print its rows")
     asked = parser.parse_args()
     if asked.one:
         learner, seed = asked.one
-        watch = Watch(asked.seconds)
+        watch = Watch(Walk(asked.robot, 100 if asked.robot else 50), asked.seconds)
         LEARNERS[learner](int(seed), watch)
         for row in watch.rows:
-            print("row", *row.values())
+            print("row", *(f"{name}={value}" for name, value in row.items()))
         return
     asked.out.mkdir(parents=True, exist_ok=True)
-    table = asked.out / "learning.csv"
+    table = asked.out / (f"{Path(asked.robot).stem}.csv" if asked.robot else "learning.csv")
     rows: list[dict[str, Any]] = []
     if table.exists():
         with table.open(newline="") as file:
             rows = list(csv.DictReader(file))
-    names = ("seconds", "env_steps", "return_mean", "steps_mean")
-    for seed in range(1, 1 + asked.seeds):
+    for seed in asked.seeds:
         for learner in asked.only:
             if any((row["learner"], int(row["seed"])) == (learner, seed) for row in rows):
                 continue
             command = [sys.executable, __file__, "--out", str(asked.out), "--one", learner, str(seed)]
-            done = subprocess.run(
-                [*command, "--seconds", str(asked.seconds)], check=True, stdout=subprocess.PIPE, text=True
-            )
+            command += ["--seconds", str(asked.seconds), *(["--robot", asked.robot] if asked.robot else [])]
+            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
             found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("row ")]
-            rows += [{"learner": learner, "seed": seed, **dict(zip(names, row, strict=True))} for row in found]
-            write_csv(table, rows)
-    write_versions(asked.out / "learning_versions.csv")
+            rows += [{"learner": learner, "seed": seed, **dict(pair.split("=") for pair in row)} for row in found]
+            write_csv(table, [{name: row.get(name, "") for name in rows[-1]} for row in rows])
+    write_versions(table.with_name(f"{table.stem}_versions.csv"))
     with table.open(newline="") as file:
-        draw(list(csv.DictReader(file)), asked.out / "learning.png")
+        draw(list(csv.DictReader(file)), table.with_suffix(".png"))
 
 
 if __name__ == "__main__":

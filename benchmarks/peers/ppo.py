@@ -13,7 +13,7 @@ from copy import deepcopy
 import numpy as np
 import torch
 from torch import nn
-from walking import Act, OwnView, make_envs
+from walking import Act, OwnView, Walk
 
 NUM_ENVS, STEPS, EPOCHS, MINIBATCHES = 256, 32, 5, 4
 GAMMA, LAMBDA, CLIP, VALUE_WEIGHT, MAX_NORM = 0.98, 0.95, 0.2, 1.0, 1.0
@@ -62,9 +62,9 @@ class Policy(nn.Module):
         return torch.distributions.Normal(self.actor(seen), self.log_std.exp().expand(len(seen), -1))
 
 
-def act(policy: Policy, num_envs: int) -> Act:
+def act(walk: Walk, policy: Policy) -> Act:
     """Return the deterministic actions of a copy of `policy`, in new episodes."""
-    view, kept = OwnView(num_envs), deepcopy(policy)
+    view, kept = OwnView(walk, walk.episodes), deepcopy(policy)
 
     @torch.no_grad()
     def mean_action(inputs: np.ndarray) -> np.ndarray:
@@ -83,11 +83,11 @@ def advantages(reward: torch.Tensor, value: torch.Tensor, ended: torch.Tensor) -
     return found
 
 
-def train(seed: int) -> Iterator[tuple[int, Policy]]:
+def train(walk: Walk, seed: int) -> Iterator[tuple[int, Policy]]:
     """Train; yield environment steps and the policy after every update."""
     torch.manual_seed(seed)
     torch.set_num_threads(2)
-    envs, view = make_envs(NUM_ENVS), OwnView(NUM_ENVS)
+    envs, view = walk.make_envs(NUM_ENVS), OwnView(walk, NUM_ENVS)
     actions = envs.single_action_space.shape[0]
     policy = Policy(view.size, actions)
     optimizer = torch.optim.Adam(policy.parameters(), LEARNING_RATE, eps=1e-5)

@@ -1,8 +1,9 @@
-"""The walking task on which learners are compared: Ant Flagrun for 500 steps, and our view of it for other learners."""
+"""The walking task on which learners are compared, Flagrun, and our view of it for other learners."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -11,11 +12,11 @@ from gymnasium.vector import AutoresetMode
 
 import shes
 from shes.agents.agent import AgentInputs
+from shes.evolution.strategies import EvolutionAlgorithm
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 
-ENV, NAME, HORIZON = "shes/AntFlagrun-v0", "ant-flagrun", 500
-EPISODES, SEED = 50, 10_000  # of an evaluation
+SEED = 10_000  # of an evaluation
 
 assert shes  # registers the environments
 
@@ -23,36 +24,82 @@ Act = Callable[[np.ndarray], np.ndarray]
 """Returns the actions [N, A] in [-1, 1] for observations [N, O]; made anew for every evaluation."""
 
 
-def make_envs(num_envs: int, num_threads: int = 0) -> Any:
-    """Return a vector environment whose episodes begin anew in the step in which they end."""
-    return gymnasium.make_vec(ENV, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, num_threads=num_threads)
+class Walk:
+    """Flagrun with the ant for 500 steps, or with a robot from its file as in its preset."""
 
+    def __init__(self, robot: str | None = None, episodes: int = 50) -> None:
+        """Read the settings of preset `laptop`; an evaluation has `episodes` episodes."""
+        self.robot = {} if robot is None else {"robot": robot}
+        self.name, self.env, self.episodes = "flagrun", "shes/Flagrun-v0", episodes
+        if robot is None:
+            self.name, self.env = "ant-flagrun", "shes/AntFlagrun-v0"
+        self.values = make_config(self.name, "laptop", self.robot).values
+        self.horizon: int = self.values["horizon"]
 
-def evaluate(act: Act) -> dict[str, float]:
-    """Return the mean return of fresh episodes, and the mean of the steps until the ant falls."""
-    envs = make_envs(EPISODES)
-    observation, _ = envs.reset(seed=SEED)
-    returns, steps, runs = np.zeros(EPISODES), np.zeros(EPISODES), np.ones(EPISODES, bool)
-    for _ in range(HORIZON):
-        observation, reward, terminated, truncated, _ = envs.step(act(observation))
-        returns += reward * runs
-        steps += runs
-        runs &= ~(terminated | truncated)
-    envs.close()
-    return {"return_mean": float(returns.mean()), "steps_mean": float(steps.mean())}
+    @cached_property
+    def algorithm(self) -> EvolutionAlgorithm:
+        """The evolution strategy of the preset."""
+        algorithm = build_algorithm(make_config(self.name, "laptop", self.robot))
+        assert isinstance(algorithm, EvolutionAlgorithm)
+        return algorithm
+
+    @cached_property
+    def reader(self) -> Any:
+        """What reads position and goal from observations."""
+        task = self.algorithm.problem.make_task(is_evaluation=True)
+        task.close()
+        return task.reader
+
+    def make_envs(self, num_envs: int, num_threads: int = 0) -> Any:
+        """Return a vector environment whose episodes begin anew in the step in which they end."""
+        options = {name: self.values[name] for name in ("controller_interval", "goal_distance")}
+        return gymnasium.make_vec(
+            self.env,
+            num_envs,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            max_episode_steps=self.horizon,
+            num_threads=num_threads,
+            **options,
+            **self.robot,
+        )
+
+    def goals(self, observation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and goals [N, 2] in the world."""
+        position, heading = self.reader.locate(observation, None)
+        return position, self.reader.goal(observation, position, heading)
+
+    def evaluate(self, act: Act) -> dict[str, float]:
+        """Return means over fresh episodes: return, steps until a fall, metres per second towards the goals."""
+        envs = self.make_envs(self.episodes)
+        observation, _ = envs.reset(seed=SEED)
+        scale, step_s = envs.unwrapped.task.scale, envs.unwrapped.task.step_s
+        returns, steps, metres = np.zeros((3, self.episodes))
+        runs = np.ones(self.episodes, bool)
+        for _ in range(self.horizon):
+            position, goal = self.goals(observation)
+            observation, reward, terminated, truncated, _ = envs.step(act(observation))
+            returns += reward * runs
+            steps += runs
+            runs &= ~(terminated | truncated)
+            after = self.goals(observation)[0]
+            metres += np.where(runs, np.linalg.norm(goal - position, axis=1) - np.linalg.norm(goal - after, axis=1), 0)
+        envs.close()
+        return {
+            "return_mean": float(returns.mean()),
+            "steps_mean": float(steps.mean()),
+            "speed_to_goals_m_s": round(float(metres.sum() * scale / (steps.sum() * step_s)), 3),
+            "upright_to_the_end": float((steps == self.horizon).mean()),
+        }
 
 
 class OwnView:
-    """Observations and actions as in preset `laptop`: egocentric, in a frame chosen from the ant's symmetry group."""
+    """Observations and actions as in preset `laptop`: egocentric, in a frame chosen from the robot's symmetry group."""
 
-    def __init__(self, num_envs: int) -> None:
+    def __init__(self, walk: Walk, num_envs: int) -> None:
         """Begin with new episodes in `num_envs` environments."""
-        algorithm = build_algorithm(make_config(NAME, "laptop", {}))
-        task = algorithm.problem.make_task(is_evaluation=True)
-        self._reader = task.reader
-        task.close()
-        self._agent = algorithm.design.agent(algorithm.design, num_envs, 1)
-        self.size: int = algorithm.design.observation_sizes[-1]
+        design = walk.algorithm.design
+        self._reader, self._agent = walk.reader, design.agent(design, num_envs, 1)
+        self.size: int = design.observation_sizes[-1]
         self._agent.start(slice(None))
 
     def restart(self, envs: np.ndarray) -> None:

@@ -54,13 +54,12 @@ Lt, Le = partial(Bound, "less than", operator.lt), partial(Bound, "at most", ope
 
 @dataclass(frozen=True, eq=False)
 class Choices:
-    """The value is one of these names. They are looked up at every check, because a registry may grow."""
+    """The value is one of these names. They are looked up at every check, because a registry may grow.
+
+    The help describes each entry of a registry by the first sentence of its docstring.
+    """
 
     names: Iterable[str]
-    fix: str = ""
-    """How to add a name, for the error message."""
-    is_described: bool = False
-    """Whether the help describes each class of the registry by the first sentence of its docstring."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,6 @@ class Setting:
         choices = "; ".join(
             f"{name}: {re.split(_SENTENCE_END, inspect.getdoc(cls) or '', maxsplit=1)[0]}"
             for note in self.all_of(Choices)
-            if note.is_described
             for name, cls in registered(note.names).items()
         )
         return " ".join(filter(None, (field_texts(self.owner).get(self.name, ""), choices and choices + ".")))
@@ -151,16 +149,6 @@ class Setting:
     def choices(self) -> tuple[str, ...]:
         """Allowed names; empty if any value of the type is allowed."""
         return tuple(name for note in self.all_of(Choices) for name in note.names)
-
-    @property
-    def needs(self) -> tuple[Needs, ...]:
-        """Settings without which it has no effect."""
-        return tuple(self.all_of(Needs))
-
-    @property
-    def is_everyday(self) -> bool:
-        """Whether the short help shows it."""
-        return any(note.everyday for note in self.all_of(Shown))
 
     @property
     def can_be_empty(self) -> bool:
@@ -201,10 +189,10 @@ class Setting:
     def _checked_name(self, value: Any, known: Choices) -> str:
         if not isinstance(value, str):
             raise out_of_range(self.name, value, f"one of {', '.join(known.names)}", self.flag)
-        if value not in known.names:
-            fix = f"Set {self.flag}.{' ' * bool(known.fix)}{known.fix}"
-            kind = known.names.kind if isinstance(known.names, Registry) else self.name.replace("_", " ")
-            raise UnknownNameError(kind, value, known.names, fix)
+        if isinstance(known.names, Registry):
+            known.names.find(value)
+        elif value not in known.names:
+            raise UnknownNameError(self.name.replace("_", " "), value, known.names, f"Set {self.flag}.")
         return value
 
     def _checked_object(self, value: Any) -> dict[str, Any]:
@@ -257,7 +245,6 @@ class Settings:
     """Base class of settings: a frozen dataclass that checks its values on construction."""
 
     def __post_init__(self) -> None:
-        """Check and convert every value; see `Setting.checked`."""
         for setting in setting_fields(type(self)).values():
             object.__setattr__(self, setting.name, setting.checked(getattr(self, setting.name)))
         self.check()
@@ -317,7 +304,6 @@ def registered(names: Iterable[str]) -> Mapping[str, Any]:
 
 
 def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Return a type without its annotations, and the annotations."""
     if get_origin(kind) is Annotated:
         inner, notes = _unwrapped(get_args(kind)[0])
         return inner, (*notes, *kind.__metadata__)
@@ -325,12 +311,10 @@ def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a NumPy number as a built-in number, and a list or an array as a tuple."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist()) if value.ndim else value
-    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
+    """Return NumPy's numbers and arrays, and lists, as built-in numbers and tuples."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
 @cache

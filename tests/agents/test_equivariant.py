@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from shes.agents.equivariant import EquivariantMLP, sector_actions
-from shes.agents.goals import HeadingDirectionOutput, HeadingVectorOutput, SectorOutput
+from shes.agents.goals import HeadingVectorOutput, SectorOutput
 from shes.agents.mlp import MLP
+from tests.rollout import plain_agent
 
 QUARTER_TURN = (np.array([1, 0]), np.array([-1.0, 1.0]))  # (x, y) -> (-y, x)
 MIRROR = (np.array([0, 1]), np.array([1.0, -1.0]))
@@ -30,9 +31,9 @@ def test_transformed_inputs_give_transformed_outputs(actions):
     network, rng = EquivariantMLP(actions), np.random.default_rng(0)
     theta = rng.normal(0, 0.7, (3, network.num_params)).astype(np.float32)
     seen = rng.normal(0, 1, (3, 5, network.sizes[0])).astype(np.float32)
-    plain = network.act(theta, seen)
+    plain = plain_agent.outputs(network, theta, seen)
     for inputs, outputs in zip(actions[0], actions[-1], strict=True):
-        turned = network.act(theta, transform(inputs, seen))
+        turned = plain_agent.outputs(network, theta, transform(inputs, seen))
         np.testing.assert_allclose(turned, transform(outputs, plain), atol=2e-6)
         assert np.abs(turned - plain).max() > 0.01
 
@@ -47,7 +48,7 @@ def test_weights_that_the_symmetry_forbids_are_zero():
     network = EquivariantMLP([(MIRROR,), (CHIRAL,)])  # straight ahead says nothing about left and right
     assert network.num_params == 1
     seen = np.array([[[1, 0], [1, 1]]], np.float32)
-    assert network.act(np.ones((1, 1), np.float32), seen).ravel() == pytest.approx([0.0, np.tanh(1)])
+    assert plain_agent.outputs(network, np.ones((1, 1), np.float32), seen).ravel() == pytest.approx([0.0, np.tanh(1)])
 
 
 def test_initial_parameters_are_weights_of_an_mlp_of_that_size():
@@ -77,17 +78,8 @@ def test_pooled_sums_are_averages_over_exchanged_inputs(name):
     assert pooled_squares.sum() == pytest.approx(squares.sum())
 
 
-@pytest.mark.parametrize("of_sum", [HeadingDirectionOutput(), HeadingVectorOutput()], ids=["direction", "vector"])
-def test_the_goal_turns_with_the_outputs_of_the_sectors(of_sum):
-    output, rng = SectorOutput(10, of_sum), np.random.default_rng(4)
-    values, heading = rng.uniform(-1, 1, (6, 10)), rng.uniform(-3, 3, 6)
-    angle, ahead = np.pi / 5, 0 * heading
-    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    goals = [
-        (output.vector(np.roll(values, 1, axis=1), heading, 4.0), output.vector(values, heading, 4.0) @ rotation),
-        (output.vector(values[:, ::-1], ahead, 4.0), output.vector(values, ahead, 4.0) * [1, -1]),
-        (output.vector(np.cos(-np.pi + (np.arange(10)[None] + 0.5) * angle), np.zeros(1), 4.0), [[4.0, 0.0]]),
-        (output.vector(np.ones((1, 10)), np.zeros(1), 4.0), [[0.0, 0.0]]),
-    ]
-    for found, expected in goals:
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+def test_outputs_along_a_sector_give_a_goal_at_full_distance():
+    """Equal outputs cancel; that goals turn with the outputs is in `rollout/test_agent.py`."""
+    along = np.cos(-np.pi + (np.arange(10) + 0.5) * np.pi / 5)
+    goals = SectorOutput(10, HeadingVectorOutput()).vector(np.stack([along, np.ones(10)]), np.zeros(2), 4.0)
+    np.testing.assert_allclose(goals, [[4.0, 0.0], [0.0, 0.0]], atol=1e-6)

@@ -23,7 +23,7 @@ def test_outputs_equal_a_plain_loop_over_policies(hidden, kind):
     mlp, activate = kind(9, hidden, 3), np.tanh if kind is MLP else lambda x: np.maximum(x, 0)
     theta, observation = _policies(mlp, 4), np.random.default_rng(0).normal(size=(4, 5, 9)).astype(np.float32)
     theta.flags.writeable = observation.flags.writeable = False
-    outputs = mlp.act(theta, observation)
+    outputs = plain_agent.outputs(mlp, theta, observation)
     assert (outputs.shape, outputs.dtype) == ((4, 5, 3), np.float32)
     for policy, episode in np.ndindex(4, 5):
         expected = plain_agent.network(mlp, theta[policy], observation[policy, episode], activate)
@@ -38,15 +38,18 @@ def test_outputs_are_bit_identical_in_any_company(hidden, episodes):
         theta, rng = _policies(mlp, 7), np.random.default_rng(0)
         assert all(row.ctypes.data % 64 == 0 for row in theta)
         observation, other = rng.normal(size=(2, 7, episodes, mlp.sizes[0])).astype(np.float32)
-        alone = [mlp.act(theta[i : i + 1], observation[i : i + 1])[0].tobytes() for i in range(7)]
+        alone = [plain_agent.outputs(mlp, theta[i : i + 1], observation[i : i + 1])[0].tobytes() for i in range(7)]
         assert len(set(alone)) == 7
         for members in ([0, 1], [3, 0, 5], [6, 5, 4, 3, 2, 1, 0], [2, 2, 2, 2]):
             stack = aligned_rows(len(members), mlp.num_params)
             stack[:] = theta[members]
-            outputs = mlp.act(stack, np.ascontiguousarray(observation[members]))
+            outputs = plain_agent.outputs(mlp, stack, np.ascontiguousarray(observation[members]))
             assert [row.tobytes() for row in outputs] == [alone[i] for i in members]
         other[:, -1] = observation[:, -1]
-        assert mlp.act(theta, other)[:, -1].tobytes() == mlp.act(theta, observation)[:, -1].tobytes()
+        assert (
+            plain_agent.outputs(mlp, theta, other)[:, -1].tobytes()
+            == plain_agent.outputs(mlp, theta, observation)[:, -1].tobytes()
+        )
 
 
 def test_initial_parameters_are_glorot_normal_layer_by_layer():

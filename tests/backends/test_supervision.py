@@ -198,7 +198,7 @@ def test_time_in_which_the_run_was_stopped_does_not_count():
 # Who is told of tasks.
 
 
-def test_no_more_workers_are_told_of_tasks_than_there_is_work_for():
+def test_no_more_workers_are_told_than_there_is_work_for():
     backend = ScriptedBackend(8, at_once=3)
     run(backend, range(64))
     for worker in backend.workers:

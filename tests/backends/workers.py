@@ -119,8 +119,3 @@ def start_refusing():
 def start_dying():
     """Stand for a worker whose process dies before it can do anything."""
     os._exit(3)
-
-
-def start_killed():
-    """Stand for a worker whose process is killed before it can do anything."""
-    os.kill(os.getpid(), signal.SIGKILL)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from shes.baselines.collector import Actor
-from shes.envs.named_environments import make_task, register_external
-from shes.envs.tasks.task import TaskOptions
+from shes.envs.named_environments import register_external
 from shes.errors import ConfigError, DivergenceError
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
+from tests.envs.episodes import make_task
 
 INTERVAL, HORIZON = 4, 10
 SETTINGS = {"hidden": (5,), "horizon": HORIZON, "generation_steps": 50}
@@ -34,22 +34,19 @@ def collector_of(learner, *, is_random=True):
 
 
 def collect(learner, num_steps=1):
-    """Return the transitions of a generation by level, the rewards of its steps, and the collector."""
-    collector, batch, _ = collector_of(learner)
-    blocks, rewards = [], []
-    for block in collector.run(num_steps, count(), np.random.default_rng(0)):
-        blocks.append(block)
-        rewards.append(batch.reward.copy())
+    """Return the transitions of a generation by level, and the collector."""
+    collector, _, _ = collector_of(learner)
+    blocks = list(collector.run(num_steps, count(), np.random.default_rng(0)))
     joined = {
         name: {key: np.concatenate([block[name][key] for block in blocks]) for key in blocks[0][name]}
         for name in blocks[0]
     }
-    return joined, np.array(rewards), collector
+    return joined, collector
 
 
 def test_a_goal_of_the_ant_is_all_of_its_coordinates():
     env = "ant-push"  # which observes a block, too
-    design, task = algorithm(env=env, spec="hiro").design, make_task(env, 1, TaskOptions(spec="hiro"))
+    design, task = algorithm(env=env, spec="hiro").design, make_task(env, 1, spec="hiro")
     assert design.half_range == (10, 10, 0.5, 1, 1, 1, 1, 0.5, 0.3, 0.5, 0.3, 0.5, 0.3, 0.5, 0.3)
     task.reset(np.array([0]), [1])
     np.testing.assert_array_equal(design.coordinates(task.observe(), task.position), task.sim.qpos[:, :15])
@@ -71,11 +68,11 @@ def test_a_goal_of_other_robots_is_their_position():
 
 def test_episodes_begin_until_the_steps_are_made_and_all_end():
     """No time limit cuts a return, not even one of the environment's own."""
-    rows, _, collector = collect(algorithm("td3", num_envs=2), num_steps=25)
+    rows, collector = collect(algorithm("td3", num_envs=2), num_steps=25)
     assert collector.num_steps == len(rows["policy"]["reward"]) == 40  # two at a time take 20 steps, then 40
     assert [episode["steps"] for episode in collector.episodes] == [HORIZON] * 4
     register_external("pendulum-of-7-steps", lambda: gymnasium.make("Pendulum-v1", max_episode_steps=7))
-    rows, _, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
+    rows, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
     assert rows["policy"]["goes_on"].tolist() == [1] * 14
     assert [(each["steps"], each["terminated"]) for each in collector.episodes] == [(7, 0), (7, 0)]
 

@@ -16,6 +16,7 @@ from shes.baselines.levels import Level, Replay, flat
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.baselines import reference
+from tests.rollout.plain_agent import outputs
 
 pytestmark = pytest.mark.hiro
 
@@ -182,7 +183,7 @@ def test_a_learner_corrects_every_goal_by_the_primitive_of_now():
             view = np.broadcast_to(expected["view"][i, step], (10, inputs - size))
             seen = np.concatenate([choices[i] - expected["moved"][i, step], view], axis=1)
             scaled = normalise(seen, statistics.mean, 1 / statistics.std, 5.0)
-            action = lower.actor.act(theta, scaled[None])[0] * limit
+            action = outputs(lower.actor, theta, scaled[None])[0] * limit
             wrong += (((action - expected["actions"][i, step]) / limit) ** 2).sum(axis=1)
         chosen.append(wrong.argmin())
     np.testing.assert_allclose(drawn["action"].reshape(16, size), choices[np.arange(16), chosen], rtol=1e-5)

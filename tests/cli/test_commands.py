@@ -134,16 +134,6 @@ def test_train_makes_a_folder_below_runs_if_none_is_named(shes, tmp_path, monkey
     assert re.search(r"command +│ python -m shes train point-gather ", shes("info", path))
 
 
-def test_resume_goes_on_where_a_run_ended(shes, tmp_path, tiny_run):
-    path = tmp_path / "run"
-    assert "Done: 2 generations" in shes("train", "point-gather", *TINY, "--generations", 2, "--out", path)
-    text = shes("resume", path, "--generations", 4, "--workers", 3)
-    assert "after generation 2. Run folder" in text
-    assert "Done: 4 generations" in text
-    assert RunFolder.open(path).read_config().workers.num_workers == 3
-    assert runs.differences(tiny_run, path) == []
-
-
 def test_evaluate_prints_a_table_or_json(shes, tiny_run):
     text = shes("evaluate", tiny_run, "--episodes", 3, "--workers", 1)
     assert re.search(r"score_mean +│ +-?[\d.]+ ", text)
@@ -223,9 +213,6 @@ def test_an_unknown_name_is_refused(tmp_path, monkeypatch, line):
     with pytest.raises(UnknownNameError, match=rf"^unknown {name} 'nonesuch'\. .*Set --{name}\.$"):
         find_command(command)(*GIVEN.get(command, ("no-run",)), **{name: "nonesuch"})
     assert list(tmp_path.iterdir()) == []
-
-
-# Modules of the user.
 
 
 @pytest.fixture

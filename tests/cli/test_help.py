@@ -73,9 +73,6 @@ def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
     assert capsys.readouterr().out == "counting ...\ncounted\n"
 
 
-# The settings of a run.
-
-
 @pytest.mark.parametrize(
     "line",
     [

@@ -132,7 +132,7 @@ def test_what_is_returned_does_not_change_later(variant):
 def test_options_reach_the_task_and_divergence_ends_its_episode(variant):
     env = variant.make_env(reset_noise=0.0, integrator="rk4").unwrapped
     env.reset(seed=0)
-    assert env.task.options == variant.options(reset_noise=0.0, integrator="rk4")
+    assert env.task.options == variant.make_task(1, reset_noise=0.0, integrator="rk4").options
     env.task.sim.qvel[0, 0] = 1e12
     _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
     assert (reward, terminated, info["diverged"], info["score"], info["success"]) == (0, True, True, 0, False)

@@ -6,7 +6,8 @@ import gymnasium
 import pytest
 
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.named_environments import ENVIRONMENTS, find_environment, make_task
+from shes.envs.named_environments import ENVIRONMENTS
+from tests.envs.episodes import make_task
 
 
 class Variant(NamedTuple):
@@ -20,13 +21,9 @@ class Variant(NamedTuple):
         """Its Gymnasium id."""
         return gymnasium_id(self.name, self.spec)
 
-    def options(self, **options):
-        """Return options of this specification."""
-        return find_environment(self.name).task.Options(spec=self.spec, **options)
-
     def make_task(self, num_episodes, **options):
         """Return `num_episodes` episodes of it."""
-        return make_task(self.name, num_episodes, self.options(**options))
+        return make_task(self.name, num_episodes, spec=self.spec, **options)
 
     def make_env(self, **options):
         """Return Gymnasium's single environment."""

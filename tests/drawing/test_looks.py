@@ -8,7 +8,7 @@ import pytest
 
 from shes.drawing.mujoco_renderer import FOLLOW_FIELD_OF_VIEW_DEG, decorate, follow
 from shes.drawing.renderer import extent_of
-from shes.envs.named_environments import make_task
+from tests.envs.episodes import make_task
 
 PLACES = [
     *(("ant-gather", place) for place in [(0, 0), (0, -11.3), (11.3, 0), (-11.3, -11.3)]),

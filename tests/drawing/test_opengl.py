@@ -6,8 +6,8 @@ import subprocess
 import pytest
 
 from shes.drawing import make_drawer
-from shes.envs.named_environments import make_task
 from shes.errors import ConfigError
+from tests.envs.episodes import make_task
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ import pytest
 from shes.drawing.make_drawer import find_opengl, make_drawer
 from shes.drawing.renderer import between, extent_of, outlines
 from shes.envs.markers import FOOD, GOAL, ROBOT, Marker
-from shes.envs.named_environments import ENVIRONMENTS, make_task
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError
+from tests.envs.episodes import make_task
 
 SIZE = 390
 WALL = (122 / 255, 130 / 255, 143 / 255)

@@ -12,8 +12,8 @@ import pytest
 
 from shes.drawing.window import Viewer, open_window
 from shes.envs.markers import FOOD, Marker
-from shes.envs.named_environments import make_task
 from shes.errors import ConfigError
+from tests.envs.episodes import make_task
 
 
 class FakeWindow:

@@ -25,8 +25,11 @@ class Corner(Task):
 
     name = "corner"
     description = TaskDescription(
-        reward="metres come nearer to the corner", ends="within 0.3 m of it", score="the return", success="it has ended"
+        reward="minus the distance", ends="within 0.3 m of it", score="the return", success="it has ended"
     )
+
+    def allocate(self):
+        self.corner = np.zeros((self.num_episodes, 2))
 
     @classmethod
     def build_world(cls, body, options):
@@ -40,7 +43,7 @@ class Corner(Task):
 
     @property
     def distance(self):
-        return _length(self.corner - self.position)
+        return np.hypot(*(self.corner - self.position).T)
 
     @property
     def terminated(self):
@@ -55,19 +58,13 @@ class Corner(Task):
         return self.terminated & ~self.diverged
 
     def observe(self):
-        velocity = np.clip(self.sim.qvel, -10, 10)
-        return np.concatenate([self.sim.qpos, velocity, self.corner - self.position], axis=1)
+        return np.hstack([self.sim.qpos, np.clip(self.sim.qvel, -10, 10), self.corner - self.position])
 
     def reset_features(self, ids, rngs):
-        if not hasattr(self, "corner"):
-            self.corner = np.zeros((self.num_episodes, 2))
-            self.before = np.zeros(self.num_episodes)
         self.corner[ids] = [CORNERS_M[rng.integers(4)] for rng in rngs]
-        self.before[ids] = self.distance[ids]
 
     def update_features(self):
-        before, self.before = self.before, self.distance
-        return before - self.before
+        return -self.distance
 
 
 class Nearness(PrimitiveReward):
@@ -85,10 +82,6 @@ class Vector(GoalEncoding):
     def encode(self, vector, distance, heading, out):
         out[:, :2] = vector
         out[:, 2] = distance
-
-
-def _length(vector):
-    return np.sqrt((vector * vector).sum(axis=1))
 
 
 def register():

@@ -36,11 +36,6 @@ TINY = {
 COMMAND = (sys.executable, "-m", "shes")
 PATIENCE_S = 60.0
 """Longest wait for something that is about to happen; longer on a busy machine, see `patient`."""
-GONE_WITHIN_S = 2.0
-"""No worker outlives its run for longer; the same."""
-
-
-STANDING = (psutil.STATUS_STOPPED, psutil.STATUS_ZOMBIE)
 
 
 def patient(seconds):
@@ -128,16 +123,10 @@ class EndedTooSoonError(AssertionError):
     """A run came to its end before the test could stop it, as may happen on a busy machine."""
 
 
-def start(*words):
-    """Start `shes WORDS` as the leader of a process group of its own."""
-    return subprocess.Popen(
-        [*COMMAND, *(str(word) for word in words)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+def start(*words, command=COMMAND, cwd=None):
+    """Start `shes WORDS`, or another command, as the leader of a process group of its own."""
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([*command, *map(str, words)], cwd=cwd, start_new_session=True, **pipes)
 
 
 def finish(process):
@@ -170,10 +159,9 @@ def log_lines(path):
 
 
 def wait_for_generation(process, path, generation):
-    """Wait until `generation` has begun, in this run or in an earlier part of it."""
+    """Wait until `generation` has begun, in this run or in an earlier part of it, or the run has ended."""
     text = f"generation {generation} begins"
     wait_until(lambda: text in log_lines(path) or process.poll() is not None, text)
-    assert process.poll() is None, f"the run ended too soon: {process.communicate()}"
 
 
 def generation_under_way(path):
@@ -189,13 +177,14 @@ def stop_inside_generation(process, path, generation):
     The process runs for moments only, from its first generation on: else it ends before a test on a busy machine has
     looked twice. A stopped process writes no log, so what the log says then is where it stands.
     """
-    wait_until(lambda: "generation 1 begins" in log_lines(path) or process.poll() is not None, "generation 1 begins")
+    standing = (psutil.STATUS_STOPPED, psutil.STATUS_ZOMBIE)
+    wait_for_generation(process, path, 1)
     while True:
         assert not process.poll(), process.communicate()
         if process.poll() == 0:
             raise EndedTooSoonError(log_lines(path))
         os.kill(process.pid, signal.SIGSTOP)
-        wait_until(lambda: psutil.Process(process.pid).status() in STANDING, "the process stops")
+        wait_until(lambda: psutil.Process(process.pid).status() in standing, "the process stops")
         inside = generation_under_way(path)
         if inside is not None and inside >= generation:
             return inside
@@ -209,15 +198,9 @@ def workers_of(pid):
     The parent's number is on a worker's command line, so one that lost its parent is found as well. A process that has
     ended and that nobody has asked for yet (a zombie) has no command line any more.
     """
-    found = []
-    for process in psutil.process_iter():
-        try:
-            words = process.cmdline()
-        except (psutil.NoSuchProcess, psutil.ZombieProcess):
-            continue
-        if "shes.backends.processes" in words and words[-1] == str(pid):
-            found.append(process)
-    return [process.pid for process in sorted(found, key=lambda process: process.create_time())]
+    lines = {process: process.info["cmdline"] or [] for process in psutil.process_iter(["cmdline", "create_time"])}
+    found = [each for each, words in lines.items() if "shes.backends.processes" in words and words[-1] == str(pid)]
+    return [process.pid for process in sorted(found, key=lambda process: process.info["create_time"])]
 
 
 def is_alive(pid):
@@ -234,6 +217,6 @@ def assert_gone(main_pid, worker_pids):
     wait_until(
         lambda: not any(is_alive(pid) for pid in worker_pids) and not workers_of(main_pid),
         f"workers {worker_pids} of {main_pid} are gone",
-        GONE_WITHIN_S,
+        within_s=2.0,
         every_s=0.02,  # a look at all processes takes several milliseconds
     )

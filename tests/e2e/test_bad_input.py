@@ -83,50 +83,40 @@ def test_a_wrong_command_line_is_refused_with_its_fix(line, refused, tmp_path):
     assert list(tmp_path.iterdir()) == []  # nothing was begun
 
 
-# Run folders.
+# Run folders: `copy` is of a finished run, and `file` is a file.
+
+THERE = r"best, generation_000000, generation_000002, generation_000004, last\. Choose one with --checkpoint"
+IN_FOLDERS = {
+    "train point-gather --preset smoke --out copy": r"copy already holds a run\. .*`shes resume .*--out",
+    "train point-gather --preset smoke --out file": r"file is a file, not a folder\. Choose another path with --out",
+    "train point-gather --preset smoke --out file/run": r"a part of the path is a file.*--out",
+    "resume copy": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
+    "resume copy --generations 2": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
+    "resume copy --sigma 1": r"--sigma would change the numbers of the run; resume takes --backend, .*--workers\.",
+    "evaluate copy --checkpoint 77": rf"there is no checkpoint .*generation_000077\.npz\. There are: {THERE}",
+    "evaluate copy --checkpoint ../x": "there is no checkpoint",
+    "evaluate copy --workers -1": r"num_workers must be .*got -1\. Set --workers",
+}
 
 
-def test_a_folder_that_holds_a_run_is_refused_and_untouched(refused, run_copy, tiny_run):
-    message = rf"{run_copy} already holds a run\. Go on with it by `shes resume .*another folder with --out"
-    refused(*TRAIN, "--out", run_copy, message=message)
-    assert runs.differences(tiny_run, run_copy) == []
+@pytest.mark.parametrize("line", IN_FOLDERS)
+def test_what_does_not_fit_a_folder_is_refused_and_harms_nothing(line, refused, run_copy, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    before = contents(tmp_path)
+    refused(*line.split(), message=IN_FOLDERS[line])
+    assert contents(tmp_path) == before
 
 
-def test_a_file_as_run_folder_is_refused_and_untouched(refused, tmp_path):
-    file = tmp_path / "file"
-    file.write_text("mine")
-    refused(*TRAIN, "--out", file, message=r"file is a file, not a folder\. Choose another path with --out")
-    refused(*TRAIN, "--out", file / "run", message=r"a part of the path is a file.*--out")
-    assert file.read_text() == "mine"
-
-
-@pytest.mark.parametrize("more", [(), ("--generations", "2")])
-def test_a_finished_run_is_not_resumed_but_says_how(refused, run_copy, more):
-    message = rf"has made 4 generations, .*To go on: shes resume {run_copy} --generations 8"
-    refused("resume", run_copy, *more, message=message)
-
-
-def test_resume_refuses_what_would_change_the_numbers(refused, run_copy):
-    message = r"--sigma would change the numbers of the run; resume takes --backend, .*--workers\."
-    refused("resume", run_copy, "--sigma", "1", message=message)
-    with pytest.raises(ConfigError, match=message):
-        shes.resume(run_copy, sigma=1.0, generations=8)
-    with pytest.raises(ConfigError, match=r"unknown setting 'sigm'\. resume takes"):
-        shes.resume(run_copy, sigm=1.0)
+def test_resume_refuses_in_python_what_the_command_line_refuses(run_copy):
+    for name, message in {"sigma": "--sigma would change", "sigm": r"unknown setting 'sigm'\. resume takes"}.items():
+        with pytest.raises(ConfigError, match=message):
+            shes.resume(run_copy, generations=8, **{name: 1.0})
 
 
 # Checkpoints.
 
 
-def change(path, name, place, value):
-    """Put a value into an array of a checkpoint."""
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays[name][place] = value
-    np.savez(path, **arrays)
-
-
-def test_a_damaged_last_checkpoint_is_refused_and_can_be_replaced(refused, run_copy, tiny_run):
+def test_a_damaged_checkpoint_is_refused_and_can_be_replaced(refused, run_copy, tiny_run):
     checkpoints = run_copy / "checkpoints"
     last = checkpoints / "last.npz"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
@@ -134,13 +124,18 @@ def test_a_damaged_last_checkpoint_is_refused_and_can_be_replaced(refused, run_c
     message = r"last\.npz is not a whole SHES checkpoint .*--checkpoint last, best or a gener.*copy it over last\.npz"
     refused("resume", run_copy, "--generations", "6", message=message)
     assert contents(run_copy) == before
+    last.unlink()
+    refused("resume", run_copy, message=r"there is no checkpoint .*last\.npz\. .*copy it to last\.npz")
     shutil.copy(checkpoints / "generation_000002.npz", last)
     shes.resume(run_copy)
     assert runs.differences(tiny_run, run_copy) == []
 
 
 def test_a_checkpoint_with_nan_is_refused(refused, run_copy):
-    change(run_copy / "checkpoints" / "best.npz", "primitive/theta", -1, np.nan)
+    with np.load(path := run_copy / "checkpoints" / "best.npz") as file:
+        arrays = dict(file)
+    arrays["primitive/theta"][-1] = np.nan
+    np.savez(path, **arrays)
     message = r"best\.npz holds NaN or infinity in primitive/theta\. Take an earlier checkpoint\."
     refused("evaluate", run_copy, message=message)
 
@@ -152,16 +147,6 @@ def test_a_checkpoint_of_another_run_is_refused(refused, run_copy, tmp_path):
     message = r"\.npz is of another run: seed is 6, not 5, sigma is 0\.5, not .*Put back the checkpoint"
     refused("resume", run_copy, "--generations", "6", message=f"last{message}")
     refused("evaluate", run_copy, message=f"best{message}")
-
-
-def test_evaluate_names_its_flags_and_the_checkpoints_there_are(refused, run_copy):
-    there = r"best, generation_000000, generation_000002, generation_000004, last\. Choose one with --checkpoint"
-    message = rf"there is no checkpoint .*generation_000077\.npz\. There are: {there}"
-    refused("evaluate", run_copy, "--checkpoint", "77", message=message)
-    refused("evaluate", run_copy, "--checkpoint", "../x", message="there is no checkpoint")
-    refused("evaluate", run_copy, "--workers", "-1", message=r"num_workers must be .*got -1\. Set --workers")
-    (run_copy / "checkpoints" / "last.npz").unlink()
-    refused("resume", run_copy, message=r"there is no checkpoint .*last\.npz\. .*copy it to last\.npz")
 
 
 @pytest.mark.parametrize("level", ["controller", "primitive"])

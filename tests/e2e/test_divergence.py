@@ -8,12 +8,12 @@ import pytest
 from gymnasium.spaces import Box
 
 import shes
-from shes.envs.named_environments import EXTERNAL_ENVIRONMENTS
 from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.recorder import Divergence
 from shes.runs.tables import read_csv
 from tests.e2e import runs
+from tests.envs.external_envs import registered
 
 STEPS = 20
 TINY = {**runs.TINY, "horizon": STEPS, "evaluation_horizon": STEPS, "evaluation_interval": 1, "keep_checkpoints": 1}
@@ -43,12 +43,10 @@ class Glass(gymnasium.Env):
 @pytest.fixture(scope="module", autouse=True)
 def registries():
     """The registries with the glass in them, as it is and in three other kinds; afterwards all is forgotten."""
-    before = dict(EXTERNAL_ENVIRONMENTS)
-    for name, *made in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0), ("fog", 2.0, np.nan)):
-        shes.register_external(name, partial(Glass, *made), locate=lambda seen, _: (seen[0], seen[1], 0.0))
-    yield
-    EXTERNAL_ENVIRONMENTS.clear()
-    EXTERNAL_ENVIRONMENTS.update(before)
+    with registered():
+        for name, *made in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0), ("fog", 2.0, np.nan)):
+            shes.register_external(name, partial(Glass, *made), locate=lambda seen, _: (seen[0], seen[1], 0.0))
+        yield
 
 
 @pytest.fixture(scope="module", params=["shes", "es"])
@@ -58,7 +56,7 @@ def glass(request, tmp_path_factory, registries):
     return runs.train_tiny(path, "glass", **{**TINY, "population_size": 40, "sigma": 0.3}, algorithm=request.param)
 
 
-def test_no_member_earns_more_than_the_worst_of_those_that_stay_whole(glass):
+def test_no_member_earns_more_than_the_worst_whole_one(glass):
     """Undivided, a step before the end costs 1 to 1.1: all that broke would rank above all that did not."""
     table = read_csv(glass / "progress.csv")
     assert all(0 < rate < 1 for rate in table["diverged_rate"])
@@ -70,7 +68,7 @@ def test_no_member_earns_more_than_the_worst_of_those_that_stay_whole(glass):
 
 
 @pytest.mark.parametrize("algorithm", ["shes", "es"])
-def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_cause(tmp_path, algorithm):
+def test_a_reward_that_is_nan_is_told_and_ends_the_run(tmp_path, algorithm):
     told = []
     listener = type("Ear", (), {"on_event": lambda _, event: told.append(event)})()
     message = (
@@ -104,7 +102,7 @@ def test_one_sound_generation_begins_the_count_anew(broken, sound):
         count.check(is_over=False)
 
 
-def test_a_broken_episode_of_an_evaluation_counts_as_the_worst_whole_one(glass):
+def test_a_broken_episode_counts_as_the_worst_whole_one(glass):
     found = shes.evaluate(glass, episodes=12, num_workers=1, checkpoint="0")
     broken = found.diverged == 1
     assert 0 < broken.sum() == found.summary()["diverged_episodes"] < 12
@@ -115,7 +113,7 @@ def test_a_broken_episode_of_an_evaluation_counts_as_the_worst_whole_one(glass):
 
 
 @pytest.mark.parametrize("algorithm", ["shes", "es"])
-def test_an_evaluation_in_which_everything_broke_is_never_the_best(tmp_path, algorithm):
+def test_an_evaluation_where_everything_broke_is_never_the_best(tmp_path, algorithm):
     """Its score, 0 for each broken episode, is above all scores of whole ones."""
     run = tmp_path / "dust"
     with pytest.raises(DivergenceError, match="last 4 generations"):

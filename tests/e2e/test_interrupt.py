@@ -3,13 +3,12 @@
 import os
 import signal
 import time
+from functools import partial
 
 import pytest
 
-from shes.errors import ShesError
 from shes.runs import recorder
 from shes.runs.checkpoint import load_checkpoint
-from shes.runs.tables import read_csv
 from shes.runs.train import resume
 from tests.e2e import runs
 
@@ -30,16 +29,15 @@ def assert_interrupted(process, path, workers):
 
 def go_on(path, undisturbed):
     """Fail if a resumed run has other numbers than one that nothing happened to."""
-    assert runs.differences(undisturbed, path)
     resume(path, backend="serial")  # starting workers takes longer than what is left to do
     assert runs.differences(undisturbed, path) == []
 
 
-def interrupt_inside(process, path, send):
-    """Call `send` while the run is inside generation 2 or a later one; return that generation and the workers."""
+def interrupt_inside(process, path, send=os.killpg, number=signal.SIGINT):
+    """Send a signal while the run is inside generation 2 or a later one; return that generation and the workers."""
     inside = runs.stop_inside_generation(process, path, 2)
     workers = runs.workers_of(process.pid)
-    send()
+    send(process.pid, number)
     os.kill(process.pid, signal.SIGCONT)
     return inside, workers
 
@@ -54,7 +52,7 @@ def interrupt_inside(process, path, send):
 )
 def test_a_run_that_is_interrupted_goes_on_as_before(started, undisturbed, send, number):
     process, path = started()
-    inside, workers = interrupt_inside(process, path, lambda: send(process.pid, number))
+    inside, workers = interrupt_inside(process, path, send, number)
     assert assert_interrupted(process, path, workers) == inside - 1
     go_on(path, undisturbed)
 
@@ -70,7 +68,7 @@ def test_ctrl_c_while_the_workers_start_is_quiet(started):
 @pytest.mark.parametrize("pause_s", [0.0, 0.01, 0.1])
 def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pause_s):
     process, path = started()
-    _, workers = interrupt_inside(process, path, lambda: os.killpg(process.pid, signal.SIGINT))
+    _, workers = interrupt_inside(process, path)
     time.sleep(pause_s)
     os.killpg(process.pid, signal.SIGINT)
     code, _, _ = runs.finish(process)
@@ -83,31 +81,22 @@ def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pa
 # In this process: a signal at an exact place.
 
 
-def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with pytest.raises(KeyboardInterrupt):
-        runs.train_tiny(tmp_path / "run", listener=runs.AfterGeneration(2, lambda: signal.raise_signal(signal.SIGINT)))
-    with pytest.raises(ShesError, match="already holds a run"):
-        runs.train_tiny(tmp_path / "run")
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
-    resume(tmp_path / "run")
-    assert runs.differences(tiny_run, tmp_path / "run") == []
-
-
-def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
+@pytest.mark.parametrize("place", ["between generations", "while a checkpoint is written"])
+def test_ctrl_c_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatch, place):
     def save(path, checkpoint):
-        if checkpoint.generation == 1 and not sent:
-            sent.append(path)
-            signal.raise_signal(signal.SIGINT)
+        if checkpoint.generation == 2 and path.name == "last.npz":
+            send()
         return original(path, checkpoint)
 
-    sent, original = [], recorder.save_checkpoint
-    monkeypatch.setattr(recorder, "save_checkpoint", save)
+    original, send = recorder.save_checkpoint, partial(signal.raise_signal, signal.SIGINT)
+    listener = runs.AfterGeneration(2, send) if place == "between generations" else None
+    if listener is None:
+        monkeypatch.setattr(recorder, "save_checkpoint", save)
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.raises(KeyboardInterrupt):
-        runs.train_tiny(tmp_path / "run", generations=1000)
-    done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
-    assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])
+        runs.train_tiny(tmp_path / "run", listener=listener)
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     monkeypatch.undo()
-    resume(tmp_path / "run", generations=done + 1)
-    assert runs.differences(runs.train_tiny(tmp_path / "whole", generations=done + 1), tmp_path / "run") == []
+    resume(tmp_path / "run")
+    assert runs.differences(tiny_run, tmp_path / "run") == []

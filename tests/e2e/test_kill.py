@@ -13,28 +13,34 @@ from tests.e2e import runs
 pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
 
 
-def kill(pid):
-    os.kill(pid, signal.SIGKILL)
-
-
 def kill_main_inside(process, path, generation):
     """Kill the run inside `generation` or a later one; return which. No worker outlives it."""
     inside = runs.stop_inside_generation(process, path, generation)
     workers = runs.workers_of(process.pid)
     assert len(workers) == 2
-    kill(process.pid)
+    process.kill()
     assert process.wait() == -signal.SIGKILL
     runs.assert_gone(process.pid, workers)
     assert runs.generation_under_way(path) == inside  # it was inside, by the log, and never came out
     return inside
 
 
-def test_a_run_killed_inside_a_generation_goes_on_as_before(started, undisturbed):
+@pytest.mark.parametrize(
+    ("first", "last"), [(3, 3), pytest.param(1, 4, marks=pytest.mark.extras)], ids=["once", "often"]
+)
+def test_a_run_killed_inside_generations_goes_on_as_before(started, undisturbed, first, last):
     process, path = started()
-    inside = kill_main_inside(process, path, 3)
+    killed = [kill_main_inside(process, path, first)]
+    while killed[-1] < last:
+        process = runs.start("resume", path)
+        try:
+            killed.append(kill_main_inside(process, path, killed[-1] + 1))
+        finally:
+            process.kill()
+            process.communicate()
     assert runs.differences(undisturbed, path)  # something is left to do
     shes.resume(path)
-    assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)[1:]
+    assert f"begins after generation {killed[-1] - 1} with 2 workers" in runs.log_lines(path)[1:]
     assert runs.differences(undisturbed, path) == []
 
 
@@ -42,29 +48,10 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):
     """The tables are written before the checkpoint: a kill between them leaves rows too many, or half a row."""
     path = runs.train_tiny(tmp_path / "run", generations=2)
     for table in (path / "progress.csv", path / "evaluation.csv"):
-        columns = table.read_text().partition("\n")[0].split(",")
-        with table.open("a") as file:
-            file.write(",".join(["3"] + ["1.5"] * (len(columns) - 1)) + "\n")  # a generation after the checkpoint's
-            file.write("4,12800,0.")  # half a row
-    assert {"progress.csv/generation", "evaluation.csv/generation"} <= runs.numbers(path).keys()
+        row = ",".join(["3"] + ["1.5"] * table.read_text().partition("\n")[0].count(","))
+        table.write_text(f"{table.read_text()}{row}\n4,12800,0.")  # a generation after the checkpoint's, half a row
     shes.resume(path, generations=4)
     assert runs.differences(tiny_run, path) == []
-
-
-@pytest.mark.extras
-def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undisturbed):
-    process, path = started()
-    killed = [kill_main_inside(process, path, 1)]
-    while killed[-1] < 4:
-        process = runs.start("resume", path)
-        try:
-            killed.append(kill_main_inside(process, path, killed[-1] + 1))
-        finally:
-            process.kill()
-            process.communicate()
-    assert len(killed) > 1
-    shes.resume(path)
-    assert runs.differences(undisturbed, path) == []
 
 
 @pytest.mark.parametrize(
@@ -81,7 +68,7 @@ def test_workers_killed_inside_generations_change_no_number(started, undisturbed
         except runs.EndedTooSoonError:
             break
         worker, *others = runs.workers_of(process.pid)
-        kill(worker)
+        os.kill(worker, signal.SIGKILL)
         for pid in others:  # so that the run cannot end before they go on
             os.kill(pid, signal.SIGSTOP)
         os.kill(process.pid, signal.SIGCONT)

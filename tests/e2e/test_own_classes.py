@@ -55,24 +55,15 @@ def reference(tmp_path_factory):
     return folder / "run", run_python("own.py", cwd=folder)
 
 
-def in_the_script(folder, script):
-    (folder / "own.py").write_text(CLASSES + script)
-    return run_python("own.py", cwd=folder)
-
-
-def in_a_module_of_the_working_directory(folder, script):
-    """As in a notebook or at a Python prompt."""
-    (folder / "mine").mkdir()
-    (folder / "mine" / "classes.py").write_text(CLASSES)
-    return run_python("-", text="from mine.classes import register\n" + script, cwd=folder)
-
-
-@pytest.mark.parametrize("place", [in_the_script, in_a_module_of_the_working_directory])
-def test_own_classes_train_on_two_workers_with_the_numbers_of_one_process(reference, tmp_path, place):
+@pytest.mark.parametrize("is_module", [False, True])
+def test_own_classes_train_on_two_workers_like_in_one_process(reference, tmp_path, is_module):
     path, said = reference
-    assert place(tmp_path, work(tmp_path / "run", backend="processes")) == said
+    assert said["primitive_return_mean"] < -20  # `progress` is never far below 0
+    script = work(tmp_path / "run", backend="processes")
+    if is_module:  # as in a notebook or at a Python prompt
+        (tmp_path / "own_module.py").write_text(CLASSES)
+        assert run_python("-", text="from own_module import register\n" + script, cwd=tmp_path) == said
+    else:
+        (tmp_path / "own.py").write_text(CLASSES + script)
+        assert run_python("own.py", cwd=tmp_path) == said
     assert runs.differences(path, tmp_path / "run") == []
-
-
-def test_the_run_used_the_own_classes(reference):
-    assert reference[1]["primitive_return_mean"] < -20  # `progress` is never far below 0

@@ -13,46 +13,50 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import shes
 from shes.cli import main
+from shes.envs.gymnasium_ids import TASKS
 from shes.errors import CheckpointError, ConfigError
 from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback
 from tests.e2e import runs
-from tests.envs.robot_files import ASSETS, walker
+from tests.envs.robot_files import ASSETS, FILTER, walker
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "run_exported.py"
-SERVO = '<position joint="{}" kp="20" timeconst=".02"/>'
-TASKS = ("flagrun", "gather", "maze", "push", "fall")
 
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
     """Path of a robot with six legs and filtered position servos; not to be changed."""
     path = tmp_path_factory.mktemp("robot") / "hexapod.xml"
-    path.write_text(walker(6, actuator=SERVO, trunk='<light pos="0 0 2" mode="trackcom"/>'))
+    path.write_text(walker(6, actuator=FILTER, trunk='<light pos="0 0 2" mode="trackcom"/>'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """Path of another robot, of the same name and with the same joints."""
+    path = tmp_path_factory.mktemp("other") / "hexapod.xml"
+    path.write_text(walker(6, actuator=FILTER, trunk='<geom size=".05" pos="0 0 .1"/>'))
     return path
 
 
 @pytest.fixture(scope="module")
 def trained(robot, tmp_path_factory):
-    """Folder of a finished run of it; not to be changed."""
+    """Folder of a finished run of the robot; not to be changed."""
     return runs.train_tiny(tmp_path_factory.mktemp("trained") / "run", "flagrun", robot=str(robot))
 
 
 def test_a_run_goes_on_elsewhere_and_without_the_file(robot, trained, tmp_path):
+    """Two workers begin it, and one ends it."""
     folder = tmp_path / "folder"
     folder.mkdir()
-    file = shutil.copy(robot, folder / "hexapod.xml")
-    half = runs.train_tiny(folder / "run", "flagrun", robot=str(file), generations=2)
-    shutil.move(half, tmp_path / "moved")
+    copy = str(shutil.copy(robot, folder))
+    two = {"generations": 2, "backend": "processes", "num_workers": 2}
+    half = runs.train_tiny(folder / "run", "flagrun", robot=copy, **two)
+    moved = Path(shutil.move(half, tmp_path / "moved"))
     shutil.rmtree(folder)
-    assert shes.resume(tmp_path / "moved", generations=4).path == tmp_path / "moved"
-    assert runs.differences(tmp_path / "moved", trained) == []
-    assert_array_equal(*(shes.evaluate(path, episodes=2).scores for path in (tmp_path / "moved", trained)))
-
-
-def test_the_number_of_workers_changes_no_number(robot, trained, tmp_path):
-    again = runs.train_tiny(tmp_path / "two", "flagrun", robot=str(robot), backend="processes", num_workers=2)
-    assert runs.differences(again, trained) == []
+    assert shes.resume(moved, generations=4, backend="serial").path == moved
+    assert runs.differences(moved, trained) == []
+    assert_array_equal(*(shes.evaluate(path, episodes=2).scores for path in (moved, trained)))
 
 
 @pytest.mark.parametrize("env", ["flagrun", "gather"])
@@ -76,49 +80,40 @@ def test_an_exported_agent_acts_as_ours(robot, trained, tmp_path, env):
 
 @pytest.mark.parametrize("env", TASKS)
 def test_every_task_takes_a_robot_of_gymnasium(tmp_path, env):
-    own = {"generations": 1, "horizon": 6, "evaluation_horizon": 6, "evaluation_interval": 1}
+    own = {"generations": 1, "horizon": 6, "evaluation_horizon": 6, "evaluation_interval": 1, "population_size": 4}
     path = runs.train_tiny(tmp_path / "run", env, robot=str(ASSETS / "humanoid.xml"), **own)
     assert np.isfinite(shes.evaluate(path, episodes=2).scores).all()
 
 
-def test_a_primitive_brings_its_robot(robot, trained, tmp_path, monkeypatch):
-    config = make_config("gather", "smoke", {"primitive": str(trained)})
-    assert config.values["robot"] == str(trained / "robot" / "hexapod.zip")
-    assert make_config("gather", "smoke", {"primitive": str(trained), "robot": str(robot)}).values["robot"] == str(
-        robot
-    )
-    other = tmp_path / "hexapod.xml"  # the same name and the same joints
-    other.write_text(walker(6, actuator=SERVO, trunk='<geom size=".05" pos="0 0 .1"/>'))
-    with pytest.raises(
-        ConfigError, match=r"trained on flagrun for the robot hexapod \(.*, but gather has the robot hex"
-    ):
+def test_a_primitive_brings_its_robot(robot, trained, other):
+    for asked, own in (({}, trained / "robot" / "hexapod.zip"), ({"robot": str(robot)}, robot)):
+        config = make_config("gather", "smoke", {"primitive": str(trained), **asked})
+        assert config.values["robot"] == str(own)
+    with pytest.raises(ConfigError, match=r"on flagrun for the robot hexapod \(.*, but gather has the robot hex"):
         make_config("gather", "smoke", {"primitive": str(trained), "robot": str(other)})
 
 
-def test_runs_of_two_robots_are_not_repetitions(robot, trained, tmp_path):
-    other = tmp_path / "hexapod.xml"
-    other.write_text(walker(6, actuator=SERVO, trunk='<geom size=".05" pos="0 0 .1"/>'))
-    one = runs.train_tiny(tmp_path / "one", "flagrun", robot=str(other), seed=6)
-    same = runs.train_tiny(tmp_path / "same", "flagrun", robot=str(robot), seed=6)
-    numbers = [shes.load(path).config.numbers() for path in (trained, same, one)]
+def test_runs_of_two_robots_are_not_repetitions(robot, trained, other, tmp_path):
+    paths = [trained]
+    for path in (robot, other):
+        paths.append(runs.train_tiny(tmp_path / path.parent.name, "flagrun", robot=str(path), seed=6, generations=1))
+    numbers = [shes.load(path).config.numbers() for path in paths]
     assert numbers[0]["robot"] == numbers[1]["robot"] != numbers[2]["robot"]
     assert {each["robot"].split()[0] for each in numbers} == {"hexapod"}
-    shutil.copy(one / "robot" / "hexapod.zip", same / "robot" / "hexapod.zip")
+    shutil.copy(paths[2] / "robot" / "hexapod.zip", paths[1] / "robot" / "hexapod.zip")
     with pytest.raises(CheckpointError, match="robot is 'hexapod"):
-        shes.load(same)
+        shes.load(paths[1])
 
 
-@pytest.mark.parametrize("body", ["ant", "point"])
-def test_ant_and_point_are_robots_with_names(body):
-    own, named = make_config(f"{body}-gather", "laptop"), make_config("gather", "laptop", {"robot": body})
-    assert named.to_dict() == own.to_dict()
-    env = gymnasium.make("shes/Gather-v0", robot=body)
-    assert (env.unwrapped.task.body.name, env.observation_space) == (
-        body, gymnasium.make(f"shes/{body.title()}Gather-v0").observation_space,
-    )  # fmt: skip
-
-
-def test_gymnasium_makes_a_robot_alone_and_many(robot):
+def test_robots_have_names_algorithms_and_gymnasiums_environments(robot):
+    for body in ("ant", "point"):
+        own, named = make_config(f"{body}-gather", "laptop"), make_config("gather", "laptop", {"robot": body})
+        assert named.to_dict() == own.to_dict()
+        env, twin = gymnasium.make("shes/Gather-v0", robot=body), gymnasium.make(f"shes/{body.title()}Gather-v0")
+        assert (env.unwrapped.task.body.name, env.observation_space) == (body, twin.observation_space)
+    for algorithm in ("hiro", "td3", "es"):
+        config = make_config("gather", "smoke", {"algorithm": algorithm, "robot": str(robot)})
+        assert (config.run.algorithm, config.values["robot"]) == (algorithm, str(robot))
     env = gymnasium.make("shes/Flagrun-v0", robot=str(robot))
     with pytest.warns(UserWarning, match="infinity"):
         check_env(env.unwrapped, skip_render_check=True)
@@ -131,50 +126,42 @@ def test_gymnasium_makes_a_robot_alone_and_many(robot):
         gymnasium.make("shes/Flagrun-v0")
 
 
-@pytest.mark.parametrize("algorithm", ["hiro", "td3", "es"])
-def test_other_algorithms_are_configured_for_a_robot(robot, algorithm):
-    config = make_config("gather", "smoke", {"algorithm": algorithm, "robot": str(robot)})
-    assert (config.run.algorithm, config.values["robot"]) == (algorithm, str(robot))
+TRAIN = ("train", "--preset", "smoke", "--out", "run")
 
 
-REFUSED = {
-    "no robot": (["gather"], "which robot?"),
-    "a folder": (["gather", "--robot", "."], "robot '.' is no file"),
-    "of an environment with its own": (
-        ["ant-gather", "--robot", "r.xml"],
-        "Name the task: gather --robot",
-    ),
-    "motors twice": (["flagrun", "--robot", "r.xml", "--motors", "3"], "Omit --motors"),
-    "lying": (["flagrun", "--robot", "lying.xml"], "lies in its home pose"),
-}
-
-
-@pytest.mark.parametrize(("words", "message"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_be_trained_writes_nothing(tmp_path, monkeypatch, capsys, words, message):
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((*TRAIN, "gather"), "which robot?"),
+        ((*TRAIN, "gather", "--robot", "."), "robot '.' is no file"),
+        ((*TRAIN, "ant-gather", "--robot", "hexapod.xml"), "Name the task: gather --robot"),
+        ((*TRAIN, "flagrun", "--robot", "hexapod.xml", "--motors", "3"), "Omit --motors"),
+        ((*TRAIN, "flagrun", "--robot", "lying.xml"), "lies in its home pose"),
+        (("envs", "--robot", "ant"), "comes with SHES"),
+    ],
+)
+def test_what_cannot_be_used_writes_nothing(robot, tmp_path, monkeypatch, capsys, words, message):
     monkeypatch.chdir(tmp_path)
-    for name, turn in (("r", "1 0 0 0"), ("lying", "1 1 0 0")):
-        Path(f"{name}.xml").write_text(walker(6, place=f'pos="0 0 .5" quat="{turn}"'))
-    assert main(["train", *words, "--preset", "smoke", "--out", "run"]) == 2
+    shutil.copy(robot, tmp_path)
+    Path("lying.xml").write_text(walker(6, place='pos="0 0 .5" quat="1 1 0 0"'))
+    assert main([*words]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["lying.xml", "r.xml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["hexapod.xml", "lying.xml"]
 
 
-def test_the_command_says_what_it_understood(robot, capsys):
-    assert main(["envs", "--robot", str(robot), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+def test_commands_say_what_they_understood(robot, trained, capsys):
+    def printed(*words):
+        assert main([*words]) == 0
+        return capsys.readouterr().out
+
+    facts = json.loads(printed("envs", "--robot", str(robot), "--json"))
     assert facts["symmetry"].startswith("6 turns (difference ")
     assert facts["root"].startswith("trunk, 12 joints")
-    assert main(["envs", "--robot", str(robot)]) == 0
-    assert all(f"{name}: {text}" in capsys.readouterr().out for name, text in list(facts.items())[:1])
-    assert main(["envs", "--robot", "ant"]) == 2
-    assert "comes with SHES" in capsys.readouterr().err
-
-
-def test_a_run_names_its_robot(trained, capsys):
-    assert main(["info", str(trained), "--json"]) == 0
-    assert "hexapod" in json.loads(capsys.readouterr().out)["robot"]
+    assert facts["size"].startswith("0.42 of the ant's")
+    assert f"root: {facts['root']}" in printed("envs", "--robot", str(robot))
+    assert "hexapod" in json.loads(printed("info", str(trained), "--json"))["robot"]
 
 
 @pytest.mark.render

@@ -9,23 +9,6 @@ from shes.runs.config import known_settings
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 
-
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize(
-    ("episodes", "workers", "chunk_size"),
-    [
-        (3, 3, 7),  # 20 policies do not come out even
-        *(pytest.param(*each, marks=pytest.mark.extras) for each in ((1, 0, 3), (1, 1, 1), (1, 2, 7), (3, 2, 0))),
-    ],
-)
-def test_workers_and_chunks_change_no_number(tmp_path, episodes, workers, chunk_size):
-    settings = {"population_size": 20, "horizon": 30, "generations": 3, "episodes_per_policy": episodes}
-    spread = {"backend": "processes", "num_workers": workers} if workers else {}
-    one = runs.train_tiny(tmp_path / "one", **settings)
-    other = runs.train_tiny(tmp_path / "other", **settings, **spread, chunk_size=chunk_size)
-    assert runs.differences(one, other) == []
-
-
 # Every variant of the method.
 
 METHOD = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1, "population_size": 12}
@@ -33,7 +16,7 @@ SCHEDULES = {"learning_rate_end": 0.001, "sigma_end": 0.3, "schedule_generations
 
 
 NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
-"""Names that say how, where and from what, not what is done: backends are what is compared here, devices elsewhere."""
+"""Names that say how, where and from what: backends are what is compared here, devices elsewhere."""
 SOURCE = "the run of the fixture `source`"
 EGOCENTRIC = {"primitive_view": "egocentric"}
 BRANCHES = {**EGOCENTRIC, "primitive_estimate": "interval", "controller_interval": 4}
@@ -50,11 +33,6 @@ OF_GATHER = {"sectors", "equivariant"}
 """Choices that a maze has not."""
 
 
-def companions(name, choice):
-    """Return the settings that a choice goes with."""
-    return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {})}
-
-
 OF_HIRO = {"algorithm": {"hiro", "td3"}, "noise_unit": {"range", "raw"}}
 """Choices of algorithms that have no population, and tests of their own in tests/baselines."""
 CHOICES = {
@@ -64,7 +42,7 @@ CHOICES = {
 }
 
 BY_CHOICE = {
-    f"{name}={choice}": {**companions(name, choice), name: choice}
+    f"{name}={choice}": {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), name: choice}
     for name, choices in CHOICES.items()
     for choice in choices
     if name not in NO_CHOICES | OF_THE_ANT and choice not in OF_GATHER
@@ -136,7 +114,7 @@ METHODS = [
     *((each.name, each.spec, {"spec": each.spec}) for each in VARIANTS),
 ]
 QUICK = {("point-maze", "everything"), ("ant-gather", "walker"), ("point-flagrun", "episodes that end")}
-"""These share enough with the others for worker processes on every day."""
+"""These share enough with the others for worker processes on every day. The policies do not come out even."""
 QUICK_SERIAL = {
     "mirrored", "fitness_shaping", "optimizer", "perturbation", "common_random_numbers", "statistics_fraction",
     "schedule_generations", "episodes_per_policy", "fall_price", "horizon",
@@ -151,7 +129,10 @@ def comparisons():
         is_quick_serial = env.startswith("point-") and bool(QUICK_SERIAL & settings.keys())
         for backend, is_quick in (("serial", is_quick_serial), ("processes", (env, name) in QUICK)):
             marks = [] if is_quick else [pytest.mark.slow]
-            tests.append(pytest.param(backend, env, settings, id=f"{backend}-{env}-{name}", marks=marks))
+            spread = {"backend": backend, "num_workers": 0, "chunk_size": (5, 1, 7, 0)[len(tests) // 2 % 4]}
+            if backend == "processes":
+                spread["num_workers"] = 3 if is_quick else 1 + len(tests) // 2 % 3
+            tests.append(pytest.param(spread, env, settings, id=f"{backend}-{env}-{name}", marks=marks))
     return tests
 
 
@@ -162,15 +143,15 @@ def source(tmp_path_factory):
     return runs.train_tiny(path, "point-flagrun", generations=2, clock_frequency=0.5, hidden=(3,))
 
 
-@pytest.mark.parametrize(("backend", "env", "settings"), comparisons())
-def test_neither_workers_nor_a_resume_change_any_method(tmp_path, monkeypatch, source, backend, env, settings):
+@pytest.mark.parametrize(("spread", "env", "settings"), comparisons())
+def test_neither_workers_nor_a_resume_change_any_method(tmp_path, monkeypatch, source, spread, env, settings):
     """The workers of the serial backend are 13 by name: members that share noise are divided as for so many."""
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
     two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
     monkeypatch.setattr(SerialBackend, "num_workers", 13)
-    shes.resume(two, generations=3, backend=backend, num_workers=2 * (backend == "processes"), chunk_size=5)
+    shes.resume(two, generations=3, **spread)
     assert runs.differences(one, two) == []
 
 

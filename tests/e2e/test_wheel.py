@@ -91,6 +91,12 @@ def test_an_empty_environment_can_train_evaluate_render_and_play(wheel, tmp_path
     run(shes, "render", "run", "--out", "walk.mp4", "--steps", "3", "--size", "96")
     assert (home / "walk.mp4").stat().st_size > 1000
     run(shes, "plot", "run")
-    code = "import gymnasium; e = gymnasium.make('shes:shes/AntGather-v0'); print(e.reset(seed=0)[0].shape)"
-    assert run(python, "-c", code) == "(50,)\n"
-    assert {path.name for path in home.iterdir() if not path.name.startswith(".")} == {"run", "walk.mp4", "curves.png"}
+    run(shes, "plot", "ant-gather", "--out", "shipped.png")
+    code = (
+        "import gymnasium, shes; env = gymnasium.make('shes:shes/AntGather-v0'); print(env.reset(seed=0)[0].shape);"
+        "assert gymnasium.make(env.spec).spec == env.spec;"
+        "print(shes.evaluate('ant-maze', episodes=1, num_workers=1).steps)"
+    )
+    assert run(python, "-c", code) == "(50,)\n[500.]\n"
+    made = {path.name for path in home.iterdir() if not path.name.startswith(".")}
+    assert made == {"run", "walk.mp4", "curves.png", "shipped.png"}

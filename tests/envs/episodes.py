@@ -1,10 +1,19 @@
-"""Plays episodes of a task and shows everything that a caller can see of them."""
+"""Makes tasks, plays their episodes, and shows everything that a caller can see of them."""
 
 import numpy as np
 from numpy.testing import assert_array_equal
 
+from shes.envs.named_environments import find_environment
+from shes.sim.simulator import CpuSimulator
+
 NUMBERS = ("time", "reward", "running_return", "score", "position", "heading")
 FLAGS = ("success", "terminated", "fallen", "diverged")
+
+
+def make_task(name, num_episodes, simulator=CpuSimulator, **options):
+    """Return episodes of environment `name` with `options` of its task."""
+    environment = find_environment(name)
+    return environment.make(num_episodes, environment.task.Options(**options), simulator)
 
 
 def view(task, rows=slice(None)):

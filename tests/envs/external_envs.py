@@ -1,11 +1,14 @@
 """Small external environments, with all kinds of spaces that Gymnasium allows."""
 
 import sys
+from contextlib import contextmanager
 
 import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.spaces import Box, Dict, Discrete
+
+from shes.envs.named_environments import EXTERNAL_ENVIRONMENTS
 
 MAX_STEPS = 7
 """Time limit of the registration of every environment here."""
@@ -133,7 +136,15 @@ def locate_by_info(observation, info):
     return *info["where"], info["yaw"]
 
 
-def register():
-    """Register the classes in Gymnasium."""
-    for cls in (Car, Silent, Stepper, Body, Holder):
-        gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=MAX_STEPS)
+@contextmanager
+def registered():
+    """Register the car in Gymnasium for a while, in which others may be registered, too.
+
+    Those of an imported package stay: they come with its first import alone.
+    """
+    before = dict(EXTERNAL_ENVIRONMENTS)
+    gymnasium.register("tests/Car-v0", entry_point=Car, max_episode_steps=MAX_STEPS)
+    yield
+    gymnasium.registry.pop("tests/Car-v0", None)
+    EXTERNAL_ENVIRONMENTS.clear()
+    EXTERNAL_ENVIRONMENTS.update(before)

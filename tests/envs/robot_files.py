@@ -5,6 +5,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
+from shes.envs.bodies.robot import Robot, RobotOptions
+
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 """Robots that come with Gymnasium."""
 TETRAHEDRON = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -16,6 +18,8 @@ LEG = """
   <geom type="capsule" fromto="0 0 0 {5:.15f} {6:.15f} -.25" size=".03"/>
 </body>"""
 MOTOR = '<motor joint="{}" ctrlrange="-2 2"/>'
+SERVO = '<position joint="{}" kp="20"/>'
+FILTER = '<position joint="{}" kp="20" timeconst=".02"/>'
 
 
 def mjcf(*, trunk="", legs="", actuators="", before="", after="", root="<freejoint/>", place='pos="0 0 .5"'):
@@ -36,6 +40,12 @@ def walker(num_legs, *, actuator=MOTOR, **parts):
     return mjcf(**{"legs": legs, "actuators": actuators, **parts})
 
 
+def sides(left, right):
+    """Return servos for a walker of four legs: the swings of the left ones have range `left`, the others `right`."""
+    ranges = [f'{SERVO.format(f"swing_{leg}")[:-2]} ctrlrange="{left if leg < 2 else right}"/>' for leg in range(4)]
+    return "".join(ranges) + "".join(SERVO.format(f"lift_{leg}") for leg in range(4))
+
+
 def one_joint(actuator, *, joint="", **parts):
     """Return a robot with a single hinge `a`, and `b` of the same kind, driven by `actuator`."""
     legs = "".join(
@@ -43,3 +53,9 @@ def one_joint(actuator, *, joint="", **parts):
         for name, y in (("a", 0.2), ("b", -0.2))
     )
     return mjcf(legs=legs, actuators=actuator, **parts)
+
+
+def robot_of(folder, text, **options):
+    """Return the robot of MJCF `text`, written into `folder`."""
+    (folder / "robot.xml").write_text(text)
+    return Robot(RobotOptions(robot=str(folder / "robot.xml"), **options))

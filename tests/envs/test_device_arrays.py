@@ -7,12 +7,11 @@ refuses.
 import numpy as np
 import pytest
 
-from shes.envs.named_environments import make_task
 from shes.sim.simulator import CpuSimulator
 from shes.types import to_host
 from tests.contracts.variants import VARIANTS, Variant
-from tests.strict_arrays import DeviceArray, strict_xp
-from tests.strict_simulator import DeviceSimulator
+from tests.envs.episodes import make_task
+from tests.strict_arrays import DeviceArray, DeviceSimulator, strict_xp
 
 NUM_EPISODES, STEPS = 6, 12
 GOAL_INTERVAL = 5
@@ -26,7 +25,7 @@ def make_pair(variant):
     """Return a task with NumPy arrays, and the same task on the device."""
     interval = {"controller_interval": GOAL_INTERVAL} if variant.name.endswith("-flagrun") else {}
     return [
-        make_task(variant.name, NUM_EPISODES, variant.options(**interval), simulator)
+        make_task(variant.name, NUM_EPISODES, simulator, spec=variant.spec, **interval)
         for simulator in (CpuSimulator, DeviceSimulator)
     ]
 

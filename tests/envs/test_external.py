@@ -1,7 +1,5 @@
 """External environments: episodes, actions and the robot's pose are those of the Gymnasium environment."""
 
-import json
-import os
 import sys
 from types import SimpleNamespace
 
@@ -15,26 +13,34 @@ from gymnasium.wrappers import TimeLimit
 from numpy.testing import assert_allclose, assert_array_equal
 
 import shes
-from shes.cli import main
 from shes.drawing.make_drawer import make_drawer
 from shes.envs.bodies.point import Point
 from shes.envs.named_environments import (
-    EXTERNAL_ENVIRONMENTS,
     INCLUDED,
     find_environment,
-    make_task,
     register_environment,
     register_external,
 )
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
+from shes.runs.build import build_algorithm
+from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
-from shes.runs.tables import read_csv
 from shes.viewing.playback import Playback
 from tests.contracts import test_task_contract as contract
 from tests.e2e import runs
 from tests.e2e.own_classes import Corner
-from tests.envs.episodes import assert_same_view, draw_actions, play, view
-from tests.envs.external_envs import MAX_STEPS, Body, Car, Holder, Silent, Stepper, locate_by_info, locate_car, register
+from tests.envs.episodes import assert_same_view, draw_actions, make_task, play, view
+from tests.envs.external_envs import (
+    MAX_STEPS,
+    Body,
+    Car,
+    Holder,
+    Silent,
+    Stepper,
+    locate_by_info,
+    locate_car,
+    registered,
+)
 
 ANT_MAZE = "robotics-ant-maze"
 FREE = {"make": Body, "locate": None, "joints": "<freejoint/>"}
@@ -42,19 +48,13 @@ REFUSED = (ConfigError, UnknownNameError)
 
 
 @pytest.fixture(autouse=True)
-def registries(monkeypatch):
-    """Register the environments of the tests; restore the registries afterwards."""
-    monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
-    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
-    register()
-    before = dict(EXTERNAL_ENVIRONMENTS)
-    yield
-    EXTERNAL_ENVIRONMENTS.clear()
-    EXTERNAL_ENVIRONMENTS.update(before)
+def registries():
+    with registered():
+        yield
 
 
-def begin(name, num_episodes, seeds=None):
-    task = find_environment(name).make(num_episodes)
+def begin(name, num_episodes, seeds=None, **options):
+    task = find_environment(name).with_options(options).make(num_episodes)
     task.reset(np.arange(num_episodes), range(num_episodes) if seeds is None else seeds)
     return task
 
@@ -84,6 +84,7 @@ def test_our_own_point_maze_is_the_same_from_outside():
         for name in ("time", "reward", "running_return", "success", "diverged"):
             assert_array_equal(getattr(inside, name), getattr(outside, name), err_msg=name)
         assert_array_equal(inside.observe(), outside.observe())
+    assert outside.physics_s > 0
     assert 0 < inside.success.sum() < 3
 
 
@@ -100,6 +101,22 @@ def test_dict_observations_are_flat_and_a_function_locates(locate):
         seen, *_ = env.step(task.reader.to_action(control[None])[0])
         assert_array_equal(task.position[0], env.place)
         assert task.heading[0] == env.yaw
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "sizes"),
+    [
+        ("car", {"algorithm": "es"}, [8]),
+        ("car", {}, [8, 3 + 6]),  # goal; gear and pose, not the desired goal
+        ("car", {"primitive_view": "proprioception", "clock_frequency": 1.0}, [8, 3 + 2 + 6]),
+        ("blind-car", {}, [8, 3 + 2]),
+    ],
+)
+def test_levels_see_what_they_are_told_to(env, settings, sizes):
+    register_external("car", Car, locate=locate_car)
+    register_external("blind-car", Car, locate=locate_car, primitive_view=[0, 1])
+    algorithm = build_algorithm(make_config(env, "smoke", settings))
+    assert list(algorithm.design.observation_sizes) == sizes
 
 
 SLIDES = "<joint type='slide' axis='1 0 0'/><joint type='slide' axis='0 1 0'/>"
@@ -134,8 +151,7 @@ def test_the_joints_of_a_mujoco_body_say_where_it_is(make, joints):
 def test_other_joints_do_not_say_where_a_robot_is(joints):
     task = start(2, make=Body, locate=None, joints=joints)
     assert not task.position.any()
-    message = r"the robot of tested is unknown.*register_external\(name, make, locate=\.\.\.\), or set --algorithm es"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ConfigError, match="the position of the robot of tested is unknown"):
         task.check_position()
     start(1).check_position()
 
@@ -179,24 +195,27 @@ def test_an_episode_does_not_depend_on_the_others():
         assert_same_view(view(crowd, [2]), resting)
 
 
-@pytest.mark.parametrize("kind", ["terminates_after", "truncates_after"])
-def test_an_end_without_success_is_a_fall_if_it_is_a_termination(kind):
-    task, actions = start(30, score="success", **{kind: 3}), draw_actions(start(1), 3)
+@pytest.mark.parametrize(
+    ("ends", "is_fall"), [("terminates", True), ("truncates", False), ("terminates truncates", True)]
+)
+def test_an_end_without_success_is_a_fall_if_it_is_a_termination(ends, is_fall):
+    ends = {f"{each}_after": 3 for each in ends.split()}
+    task, actions = start(30, score="success", **ends), draw_actions(start(1), 3)
     play(task, actions[:2])
     assert not (task.fallen | task.terminated).any()
     play(task, actions[2:])
     assert task.terminated.all()
-    assert (task.truncated == (kind == "truncates_after")).all()
+    assert (task.truncated != is_fall).all()
     near = np.abs(task.position - task.observe()[:, 6:]).max(axis=1) < 0.5
     assert 0 < near.sum() < 30
     assert_array_equal(task.success, near)
     assert_array_equal(task.score, near)
-    assert_array_equal(task.fallen, ~near & (kind == "terminates_after"))
+    assert_array_equal(task.fallen, ~near & is_fall)
     task.reset(np.arange(30), range(30))
     assert not (task.fallen | task.truncated).any()
-    silent = start(2, make=Silent, **{kind: 3})  # reports no success
+    silent = start(2, make=Silent, **ends)  # reports no success
     play(silent, actions)
-    assert (silent.fallen == (kind == "terminates_after")).all()
+    assert (silent.fallen == is_fall).all()
     assert_array_equal(silent.score, silent.running_return)
 
 
@@ -253,76 +272,60 @@ def test_the_horizon_is_the_limit_of_the_registration():
         assert horizons(name) == (MAX_STEPS, MAX_STEPS)
     assert horizons("of-id", horizon=30) == (30, MAX_STEPS)
     assert horizons("of-id", evaluation_horizon=30) == (MAX_STEPS, 30)
+    assert horizons("of-id", env_kwargs={"max_episode_steps": 3}) == (3, 3)
     register_external("free", Car)
     assert horizons("free") == horizons("point-maze")
 
 
-def test_the_limit_of_the_registration_is_not_applied():
-    task = begin("gymnasium:tests/Car-v0", 1)
-    assert not play(task, draw_actions(task, 30))["terminated"].any()
-    register_external("limited", lambda: TimeLimit(Car(), 5))
-    task = begin("limited", 1)
-    assert not play(task, draw_actions(task, 4))["terminated"].any()
-    assert play(task, draw_actions(task, 1))["terminated"].all()
+@pytest.mark.parametrize(
+    ("make", "kwargs", "end"),
+    [
+        ("tests/Car-v0", {}, None),
+        ("tests/Car-v0", {"max_episode_steps": 3, "terminates_after": 5}, 5),
+        (lambda: TimeLimit(Car(), 5), {}, 5),
+    ],
+)
+def test_the_limit_of_a_registration_does_not_end_an_episode(make, kwargs, end):
+    register_external("limited", make)
+    task = begin("limited", 1, env_kwargs=kwargs)
+    ends = [play(task, [action])["terminated"][0] for action in draw_actions(task, 12)]
+    assert (ends.index(True) + 1 if any(ends) else None) == end
 
 
 # Options: keyword arguments and options of the reset, from a run's settings to each of its environments.
 
 
-@pytest.fixture
-def made():
-    """Register `placed`, whose size is required and whose place each reset needs; return what it was given."""
+PLACED = {"env_kwargs": {"parts": [1, 2], "truncates_after": 9}, "reset_options": {"place": ["near", "far"]}}
+TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 1, "population_size": 4}
+
+
+def test_every_environment_of_a_run_has_its_recorded_options(tmp_path):
     given = []
 
     class Placed(Car):
         spec = SimpleNamespace(max_episode_steps=31)
 
         def reset(self, *, seed=None, options=None):
-            super().reset(seed=seed)
-            self.place[:] = options["place"].pop()  # does not change what the next one gets
-            given.append(("reset", self.place.tolist()))
-            return self._observe(), self._info()
+            given.append(("reset", options["place"].pop()))  # does not change what the next one gets
+            return super().reset(seed=seed)
 
     def make(parts, render_mode=None, **kwargs):
         given.append(("made", parts.pop(), render_mode))
         return Placed(render_mode, **kwargs)
 
     register_external("placed", make, locate=locate_car)
-    return given
-
-
-PLACED = {"env_kwargs": {"parts": [1, 2], "truncates_after": 9}, "reset_options": {"place": [[5, 5], [3, 4]]}}
-TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 1, "population_size": 4}
-
-
-def test_every_environment_of_a_run_has_the_options_of_its_record(made, tmp_path, monkeypatch):
     run = shes.train("placed", out=tmp_path / "run", **TINY, **PLACED)
     shes.evaluate(run.path, episodes=2, num_workers=1)
     playback = Playback(run.path, "last")
     playback.task.draw_by("rgb_array")
     next(playback.play(seed=3))
-    assert {*map(str, made)} == {*map(str, [("made", 2, None), ("made", 2, "rgb_array"), ("reset", [3.0, 4.0])])}
-    assert json.loads((run.path / "config.json").read_text())["config"]["environment"].items() >= PLACED.items()
+    assert set(given) == {("made", 2, None), ("made", 2, "rgb_array"), ("reset", "far")}
+    assert RunFolder(run.path).read_record()["config"]["environment"].items() >= PLACED.items()
     assert make_config("placed", None, {"like": run.path}).values.items() >= PLACED.items()
-    assert find_environment("placed").with_options(PLACED).measured_bytes() >= 0
     assert make_config("placed", "laptop", PLACED).episodes.horizon == 31
     # An episode that it truncates has ended, but not terminated.
     assert not run.progress["terminated_rate"].any()
     assert_array_equal(run.progress["episode_steps_mean"], 9)
-    line = ["train", "placed", "--like", run, "--env-kwargs", '{"parts": [1], "terminates_after": 9}', "--out", "ends"]
-    monkeypatch.chdir(tmp_path)
-    assert main([*map(os.fspath, line)]) == 0
-    assert ("made", 1, None) in made
-    assert_array_equal(read_csv(tmp_path / "ends" / "progress.csv")["terminated_rate"], 1)
-
-
-def test_a_registered_environment_takes_arguments_of_gymnasium_make():
-    options = {"env_kwargs": {"max_episode_steps": 3, "terminates_after": 5}}
-    assert make_config("gymnasium:tests/Car-v0", "smoke", options).episodes.horizon == 3
-    task = find_environment("gymnasium:tests/Car-v0").with_options(options).make(1)
-    task.reset(np.array([0]), [1])
-    assert not play(task, draw_actions(task, 4))["terminated"].any()
-    assert play(task, draw_actions(task, 1))["terminated"].all()
 
 
 NO_OBJECT = r"env_kwargs must be a JSON object of names and values, e\.g\. --env-kwargs '{\"size\": 3}', got "
@@ -331,12 +334,14 @@ REFUSED_OPTIONS = [
     *(({"env_kwargs": each}, NO_OBJECT) for each in ('{"a": NaN}', "[" * 9999, {"a": {(1, 2): 3}})),
     ({"reset_options": "[]"}, r"reset_options must be a JSON object .*'{\"start\": \[0, 1\]}', got '\[\]'\. Set --res"),
     ({"env_kwargs": {"fuel": 1}}, r"cannot be made with {'fuel': 1}: TypeError: .*unexpected keyword argument 'fuel'"),
+    ({"device": "warp-cpu"}, r"gymnasium:tests/Car-v0 has physics of its own: it runs .*Set --device cpu\."),
     ({"env": "point-maze", "env_kwargs": "{}"}, r"env_kwargs is not a setting of a run of point-maze .*Omit --env-kw"),
+    ({"algorithm": "shes", **TINY}, r"of gymnasium:tests/Car-v0 is unknown.*register_external\(name, .*--algorithm es"),
 ]
 
 
 @pytest.mark.parametrize(("settings", "message"), REFUSED_OPTIONS)
-def test_options_that_do_not_fit_are_refused(settings, message, tmp_path):
+def test_settings_that_do_not_fit_are_refused(settings, message, tmp_path):
     with pytest.raises(ConfigError, match=message):
         shes.train(out=tmp_path / "run", **{"env": "gymnasium:tests/Car-v0", "algorithm": "es", **settings})
     assert list(tmp_path.iterdir()) == []
@@ -472,12 +477,9 @@ def test_observations_may_be_of_one_environment_or_several():
         by_info.locate(rows, None)
     with pytest.raises(ConfigError, match=r"agent\.act\(observation, env=env\)"):
         start(1, **FREE).reader.locate(np.zeros((1, 1)), None)
-
-
-def test_what_is_no_observation_is_refused():
     for wrong in (np.zeros(11), np.zeros((2, 8)), {"pose": np.zeros(3)}, None, "car"):
         with pytest.raises(ShapeError, match=r"not an observation of 1 times Dict"):
-            start(1).reader.rows(wrong, 1)
+            reader.rows(wrong, 1)
 
 
 # Names.

@@ -5,15 +5,14 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.envs.markers import POISON as POISON_COLOR
-from shes.envs.named_environments import make_task
-from shes.envs.tasks.task import FallOptions
+from tests.envs.episodes import make_task
 
 FAR_AWAY = 1000.0
 
 
 def start(name="point-gather", food=(), poison=(), spec="shes"):
     """Return one episode, at rest at the origin, with the given objects; the others are far away."""
-    task = make_task(name, 1, FallOptions(reset_noise=0, spec=spec))
+    task = make_task(name, 1, reset_noise=0, spec=spec)
     task.reset(np.arange(1), [0])
     put(task, food, poison)
     return task

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.envs.named_environments import ENVIRONMENTS, make_task
 from shes.envs.worlds import merged_boxes
+from tests.envs.episodes import make_task
 
 STANDING, LYING = (1, 0, 0, 0), (0, 1, 0, 0)
 
@@ -46,17 +46,17 @@ def test_upright_is_by_the_rule_of_the_body_and_its_tilt(height, quaternion):
 
 @pytest.mark.parametrize("name", ["point-maze", "ant-maze"])
 def test_success_is_measured_to_the_target_of_evaluation(name):
-    task = make_task(name, 1, ENVIRONMENTS[name].task.Options(target=(0.0, 5.0)))
+    task = make_task(name, 1, target=(0.0, 5.0))
     states = np.stack([state(task, (0, y)) for y in (10.9, 11.1, 16.0, 21.1)])
     assert task.places(states).is_success.tolist() == [False, True, True, False]
-    elsewhere = make_task(name, 1, ENVIRONMENTS[name].task.Options(evaluation_target=(9.0, 3.0)))
+    elsewhere = make_task(name, 1, evaluation_target=(9.0, 3.0))
     assert elsewhere.places(state(task, (9, 3))[None]).is_success.tolist() == [True]
     fall = make_task("ant-fall", 1)  # its target has a height
     assert fall.places(np.stack([state(fall, (0, 24, z)) for z in (4.75, 0.4)])).is_success.tolist() == [True, False]
 
 
 def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
-    task = make_task("point-maze", 1, ENVIRONMENTS["point-maze"].task.Options(target=(6.0, 8.0), reset_noise=0.0))
+    task = make_task("point-maze", 1, target=(6.0, 8.0), reset_noise=0.0)
     rewards = []
     for way in (None, np.array([[6.0, 0.0], [6.0, 4.0]]), np.array([[0.0, 8.0]]), None):
         task.set_way(way)

@@ -10,13 +10,14 @@ from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.gymnasium_ids import SPECS_OF, register_ids
-from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
+from shes.envs.named_environments import ENVIRONMENTS, Environment, find_environment, register_environment
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.task import Task, TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import Settings
 from tests.contracts.variants import VARIANTS
 from tests.e2e.own_classes import Corner
+from tests.envs.episodes import make_task
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +29,7 @@ def restored():
     ENVIRONMENTS.update(before)
 
 
-@pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
+@pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment])
 def test_an_unknown_environment_is_told_the_nearest_name(call):
     message = r"unknown environment 'pointgather'\. Did you mean 'point-gather'"
     with pytest.raises(UnknownNameError, match=message) as caught:

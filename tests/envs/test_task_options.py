@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 import shes  # registers
-from shes.envs.named_environments import ENVIRONMENTS, make_task
-from shes.envs.tasks.target_task import MazeOptions
-from shes.envs.tasks.task import FallOptions
+from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError
 from shes.settings import setting_fields
+from tests.envs.episodes import make_task
 
 assert shes
 
@@ -65,12 +64,12 @@ FIXED = {"target": (1, 2), "target_sampling": "free_cells"}
 )
 def test_options_that_do_not_fit_together_are_refused(name, options, message):
     with pytest.raises(ConfigError, match=message):
-        make_task(name, 1, ENVIRONMENTS[name].task.Options(**options))
+        make_task(name, 1, **options)
 
 
 def test_the_reward_is_the_progress_through_the_waypoints():
     options = {"target": (6.0, 8.0), "waypoints": (6.0, 0.0, 6.0, 4.0), "reset_noise": 0.0}
-    task, both = make_task("point-maze", 2, MazeOptions(**options)), np.arange(2)
+    task, both = make_task("point-maze", 2, **options), np.arange(2)
 
     def rewards(*places):
         task.sim.qpos[:, :2] = places
@@ -100,7 +99,7 @@ def test_the_reward_is_the_progress_through_the_waypoints():
     start([3, 4], 14, 14)
     assert left_at((13.5, 2.1), (-1, 5)) == pytest.approx([np.hypot(7.5, 1.9) + 4, np.hypot(7, 5) + 8])
     assert left_at((2, 6.1), (1, 1.9)) == pytest.approx([np.hypot(4, 1.9), np.hypot(5, 1.9) + 8])
-    evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
+    evaluated = make_task("point-maze", 1, **options, evaluation_target=(0.0, 5.0), evaluation=True)
     evaluated.reset(both[:1], [1])
     assert evaluated.update_features().tolist() == [-5]
 
@@ -113,7 +112,7 @@ TOO_FAR = [False, False, True, True, True]
 @pytest.mark.parametrize("name", ["ant-flagrun", "ant-gather", "ant-maze", "ant-push", "ant-fall"])
 def test_a_tilt_beyond_the_limit_is_a_fall_in_training_alone(name, limit, evaluation):
     expected = TOO_FAR if limit and not evaluation else [False] * 5
-    task = make_task(name, len(TILTS), ENVIRONMENTS[name].task.Options(max_tilt=limit, evaluation=evaluation))
+    task = make_task(name, 5, max_tilt=limit, evaluation=evaluation)
     task.reset(np.arange(len(TILTS)), range(len(TILTS)))
     task.sim.qpos[:, 3:7] = np.stack([np.cos(TILTS / 2), 0 * TILTS, np.sin(TILTS / 2), 0 * TILTS], axis=1)
     ends_by_itself = name in ("ant-flagrun", "ant-gather")
@@ -130,14 +129,14 @@ def test_a_tilt_beyond_the_limit_is_a_fall_in_training_alone(name, limit, evalua
 
 @pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])
 def test_a_tilt_costs_as_much_as_a_fall_in_hiro_training(evaluation, reward):
-    task = make_task("ant-gather", 1, FallOptions(spec="hiro", max_tilt=45.0, evaluation=evaluation))
+    task = make_task("ant-gather", 1, spec="hiro", max_tilt=45.0, evaluation=evaluation)
     task.reset(np.arange(1), [1])
     task.sim.qpos[:, 3:7] = [0, 1, 0, 0]  # on its back
     assert task.update_features().tolist() == [reward]
 
 
 def test_goals_of_flagrun_reach_the_goal_distance_on_all_sides():
-    task = make_task("point-flagrun", 300, ENVIRONMENTS["point-flagrun"].task.Options(goal_distance=2.0))
+    task = make_task("point-flagrun", 300, goal_distance=2.0)
     task.reset(np.arange(300), range(300))
     offset = task.goal - task.position
     assert (np.abs(offset).max(axis=0) <= 2).all()

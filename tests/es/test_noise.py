@@ -1,7 +1,6 @@
 """The noise table: its numbers, the file that holds them, and the weighted sum of its slices."""
 
 import copy
-import errno
 import os
 import pickle
 import zlib
@@ -90,28 +89,6 @@ def test_a_damaged_file_is_replaced_and_not_overwritten(cache, content, damage):
         assert np.array_equal(NoiseTable.open(20_000).values, content[:20_000])
         assert old.read() == before
     assert list(cache.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("old", [None, b"old"])
-@pytest.mark.parametrize(
-    ("call", "failure", "error", "message"),
-    [
-        ((os, "fsync"), OSError(errno.ENOSPC, ""), StorageError, r"disk is full.*SHES_CACHE_DIR.*--noise-table-size"),
-        ((Path, "replace"), OSError(errno.EIO, ""), StorageError, r"cannot write .*noise-v2-5000-123\.f32"),
-        ((os, "fsync"), KeyboardInterrupt(), KeyboardInterrupt, None),
-    ],
-)
-def test_a_failed_build_changes_nothing(cache, monkeypatch, old, call, failure, error, message):
-    def fail(*_):
-        raise failure
-
-    cache.mkdir()
-    if old:
-        (cache / "noise-v2-5000-123.f32").write_bytes(old)
-    monkeypatch.setattr(*call, fail)
-    with pytest.raises(error, match=message):
-        NoiseTable.open(5000)
-    assert [file.read_bytes() for file in cache.iterdir()] == ([old] if old else [])
 
 
 def test_the_next_table_removes_a_killed_builders_file(cache):

@@ -6,12 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.errors import ConfigError
-from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, member_signs
+from shes.es.perturbation import MIRRORINGS, PERTURBATIONS, check_population_size, member_signs
 
 BOTH, CONTROLLER_ALONE = (True, True), (True, False)
 
 
 def signs_of(name, population, mirrored="quad", learns=BOTH, generation=0):
+    check_population_size(name, mirrored, population, learns)
     return member_signs(name, mirrored, population, learns, generation)
 
 

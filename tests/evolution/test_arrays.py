@@ -64,10 +64,8 @@ CHANGES = [
     ("controller/theta", ending_in(np.inf), NAN),
 ]
 HARMS = [
-    (without("env_steps"), OF_RUN.format("lacks env_steps.")),
     (lambda arrays: {**arrays, "z": np.zeros(1)}, OF_RUN.format("has z.")),
     (lambda arrays: {**without("seed")(arrays), "z": np.zeros(1)}, OF_RUN.format("lacks seed and has z.")),
-    (without("running/states"), OF_RUN.format("lacks running/states.")),
     (without("running/steps"), OF_RUN.format("lacks running/steps.")),
     *((lambda arrays, at=name, do=change: {**arrays, at: np.asarray(do(arrays[at]))}, f".*{told.format(name)}")
       for name, change, told in CHANGES),

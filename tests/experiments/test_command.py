@@ -4,8 +4,8 @@ import csv
 import os
 import re
 import signal
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -19,17 +19,7 @@ SOME = ("ablation", "--scale", "smoke", "--only", "horizon", "transfer", "--work
 TIMES = ("seconds", "primitive_seconds", "hours", "primitive_hours")
 
 
-def start(*words):
-    """Start `python -m experiments WORDS` as the leader of a process group of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "experiments", *(str(word) for word in words)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+start = partial(runs.start, command=(sys.executable, "-m", "experiments"), cwd=ROOT)
 
 
 def run(*words):
@@ -65,14 +55,6 @@ def test_words_that_make_no_sense_are_refused(line, tmp_path, capsys):
     assert out == ""
     assert re.search(WRONG[line], " ".join(err.split()))
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("words", [["ablatoin"], ["fig3", "--scale", "large"], ["fig3", "--seeds", "many"], []])
-def test_words_that_are_no_value_of_their_flag_are_refused(words, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(words)
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.startswith("usage: python -m experiments")
 
 
 def test_what_is_there_is_compared_and_drawn_without_a_run(tmp_path, capsys):

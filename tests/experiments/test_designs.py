@@ -15,7 +15,7 @@ from experiments.paper import TABLE_1, settings_table
 from experiments.paper_settings import SCALES
 from experiments.results import read_tables
 from experiments.running import check_experiment, runs_left
-from tests.experiments.tiny import run
+from tests.experiments.tiny import experiment, run
 
 SEEDS = {"point": 10, "ant": 5}
 RESULTS = Path(__file__).parents[2] / "results"
@@ -65,10 +65,8 @@ def test_seeds_come_first_and_primitives_before_what_takes_them():
     source = [run("source", seed) for seed in (1, 2)]
     after = [run("after", each.seed, primitive=each) for each in source]
     other = [run("other", seed) for seed in (1, 2)]
-    design = made("ablation").__class__(
-        runs=(*after, *other, *source), groups={"choices": ""}, base=("choices", "other"), metrics={}
-    )
-    names = [[(each.variant, each.seed) for each in stage] for stage in design.stages()]
+    stages = experiment(*after, *other, *source).stages()
+    names = [[(each.variant, each.seed) for each in stage] for stage in stages]
     assert names == [[("source", 1), ("source", 2)], [("after", 1), ("other", 1), ("after", 2), ("other", 2)]]
 
 

@@ -1,4 +1,7 @@
-"""Figures from results: what they show, and that the same results give the same picture."""
+"""Figures from results: what they show. What is measured once for figure 6 is not measured again."""
+
+import csv
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -7,12 +10,13 @@ import pytest
 from experiments.comparisons import compare
 from experiments.curve_figure import Curve, Panel, draw_curves
 from experiments.design import Measure
-from experiments.figures import draw_figures, forest
-from experiments.paper import figure_3, figure_5
+from experiments.figure6 import LABELS, PAPER_SECONDS, draw, measure, measured_runs, read_rows, speedup_figure
+from experiments.figures import forest
 from experiments.results import PlacedResults, RunResults
 from tests.experiments.tiny import experiment, run
 
 SCORE = Measure("score_mean", "test score")
+STORED = Path(__file__).parents[2] / "results" / "paper" / "fig6.csv"
 
 
 @pytest.fixture(autouse=True)
@@ -88,14 +92,36 @@ def test_a_transferred_run_begins_after_its_primitive(x):
     assert np.array(span.get_data()).tolist() == [[0, 0.5], [2, 2]]
 
 
+# Figure 6.
+
+
+def test_the_picture_has_every_kind_of_row_and_the_authors_times():
+    rows = read_rows(STORED)
+    [axis] = speedup_figure(rows).axes
+    drawn = {line.get_label(): line for line in axis.lines}
+    for words in LABELS.values():
+        assert {f"{words}, projected", f"{words}, measured"} <= drawn.keys()
+    projected = drawn["SHES as published, projected"]
+    own = [row for row in rows if (row["variant"], row["kind"]) == ("published", "projected")]
+    assert projected.get_ydata().tolist() == [float(row["speedup"]) for row in own]
+    slope = dict(zip(*drawn["paper, Figure 6 (slope)"].get_data(), strict=True))
+    assert (slope[1], slope[250], slope[600]) == (1, 50, 100)
+    seconds = PAPER_SECONDS["es"]
+    assert drawn["S-ES, authors' code"].get_ydata()[-1] == seconds[1] / seconds[240]
+
+
 @pytest.mark.extras
-@pytest.mark.parametrize("make", [figure_3, figure_5])
-def test_the_papers_figures_are_drawn_alike_again(make, tmp_path):
-    results = results_of(make("smoke", 2))
-    pictures = []
-    for name in ("first", "second"):
-        (tmp_path / name).mkdir()
-        drawn = draw_figures(results, tmp_path / name)
-        assert [path.name for path in drawn] == list(results.experiment.figures)
-        pictures.append([path.read_bytes() for path in drawn])
-    assert pictures[0] == pictures[1]
+@pytest.mark.timeout(600)
+def test_a_measurement_is_kept_and_not_made_again(tmp_path):
+    measure("smoke", tmp_path, 2)
+    with (tmp_path / "fig6.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["variant"] for row in rows} == {run.variant for run in measured_runs("smoke")}
+    for row in rows:
+        assert float(row["speedup"]) > 0
+        assert row["hardware"]
+        assert row["versions"]
+    before = (tmp_path / "fig6.csv").read_bytes()
+    measure("smoke", tmp_path, 2)
+    assert (tmp_path / "fig6.csv").read_bytes() == before
+    assert draw(tmp_path).stat().st_size > 10_000

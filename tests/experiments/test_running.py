@@ -136,8 +136,10 @@ def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeyp
 def test_a_primitive_is_made_before_what_takes_it(tmp_path, monkeypatch):
     source = run(env="point-flagrun", group="transfer")
     taker = run("frozen", group="transfer", primitive=source, freeze_primitive=True)
-    failed, found = made(tmp_path / "a", taker, source)
+    assert made(tmp_path / "a", source)[0] == {}
+    failed, found = made(tmp_path / "a", taker, source, backend="processes")
     assert (failed, list(found)) == ({}, [source.name, taker.name])
+    assert RunFolder(tmp_path / "a" / taker.name).read_config().workers.backend == "processes"
     one = runs.state(tmp_path / "a" / source.name, "best").levels[0]
     other = runs.state(tmp_path / "a" / taker.name, "last").levels[1]
     assert (one.name, one.theta.tobytes()) == (other.name, other.theta.tobytes())

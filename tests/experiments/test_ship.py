@@ -129,17 +129,12 @@ def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
         ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
         ({"episodes": 0}, r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
         ({"checkpoint": "0"}, r"has no evaluation yet, .*Train it further first"),
+        ({"name": "there"}, r"there exists already\. Delete it first, or choose another name"),
     ],
 )
 def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
+    (tmp_path / "there").mkdir()
     words = {"name": "good", **TOLD, "episodes": 1, "num_workers": 1, "into": tmp_path, **changed}
     with pytest.raises(ShesError, match=message):
         ship(tiny_run, **words)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_agent_that_exists_is_not_written_over(tiny_run, place, capsys):
-    assert main(["ship", str(tiny_run), *GATHERER, "--into", str(place)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "exists already. Delete it first, or choose another name" in " ".join(err.split())
+    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]

@@ -68,9 +68,10 @@ def golden_run(name, change=0.0):
     env, seed, settings = RUNS[name]
     learner = build_algorithm(make_config(env, "smoke", settings))
     state = learner.start(seed)
+    noise = [np.random.default_rng(number).standard_normal for number in range(len(state.levels))]
     levels = tuple(
-        replace(level, theta=level.theta * (1 + np.float32(change) * _normal(number, len(level.theta))))
-        for number, level in enumerate(state.levels)
+        replace(level, theta=level.theta * (1 + np.float32(change) * normal(len(level.theta), dtype=np.float32)))
+        for level, normal in zip(state.levels, noise, strict=True)
     )
     settings = learner.hyperparameters
     rules = tuple(replace(rule, holds_when_tied=False) for rule in settings.updates)
@@ -78,10 +79,6 @@ def golden_run(name, change=0.0):
     with SerialBackend(partial(RolloutWorker, learner.plan())) as backend:
         reports = itertools.islice(evolve(state, settings, learner.table, backend), GENERATIONS)
         return {"generations": [_numbers(report) for report in reports]}
-
-
-def _normal(seed, size):
-    return np.random.default_rng(seed).standard_normal(size, dtype=np.float32)
 
 
 def _numbers(report):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import shes
-from shes.envs.named_environments import make_task
 from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.runs.folder import RunFolder
 from shes.sim.simulator import CpuSimulator
@@ -19,6 +18,7 @@ from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
 from shes.types import to_host
 from tests.e2e import runs
+from tests.envs.episodes import make_task
 from tests.rollout import test_device_arrays as stand_in
 
 pytestmark = [pytest.mark.gpu, pytest.mark.timeout(600)]

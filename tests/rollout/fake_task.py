@@ -36,7 +36,6 @@ class FakeTask:
         self.num_episodes = num_episodes
         self.on_step = on_step
         self.goal_interval = goal_interval
-        self.stays_for = 0.0
         self.goal = np.ones((num_episodes, 2)) if goal_interval else None
         self.terminates_after, self.diverges_after, self.seeds = np.zeros((3, num_episodes), int)
         self.age, self.heading = np.zeros(num_episodes, int), np.zeros(num_episodes)
@@ -55,7 +54,7 @@ class FakeTask:
 
     @property
     def reward_after_end(self):
-        return np.where(self.terminated & ~self.diverged, self.stays_for, 0.0)
+        return np.where(self.terminated & ~self.diverged, -2.0, 0.0)
 
     @property
     def score(self):

@@ -1,7 +1,7 @@
 """Generations without physics, in which rewards are a formula, and the comparison of the numbers of runs."""
 
 import itertools
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -120,18 +120,20 @@ def check_against_textbook(table, settings, generations=5, diverging=(), **optio
     return backend, reports
 
 
+def leaves(value, place=""):
+    """Yield the arrays, numbers and texts in a state, a report or a part of one, with their places; no durations."""
+    if is_dataclass(value):
+        names = [field.name for field in fields(value)]
+        value = {name: getattr(value, name) for name in names if name != "seconds" and not name.endswith("_s")}
+    elif isinstance(value, np.ndarray) and value.dtype.names:
+        value = {name: value[name] for name in value.dtype.names}
+    if not isinstance(value, (dict, list, tuple)):
+        yield place, value
+        return
+    for name, each in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from leaves(each, f"{place}/{name}")
+
+
 def bits(value):
-    """Return a state, a report or a part of one as nested lists of bytes and texts, but for durations."""
-    if isinstance(value, np.ndarray):
-        return value.tobytes()
-    if isinstance(value, dict):
-        return {name: bits(each) for name, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [bits(each) for each in value]
-    if hasattr(value, "__dataclass_fields__"):
-        return {
-            field.name: bits(getattr(value, field.name))
-            for field in fields(value)
-            if field.name not in ("log", "seconds") and not field.name.endswith("_s")
-        }
-    return repr(value)
+    """Return the bytes or the text of each of the `leaves` of `value` by place."""
+    return {at: leaf.tobytes() if isinstance(leaf, np.ndarray) else repr(leaf) for at, leaf in leaves(value)}

@@ -67,6 +67,11 @@ def network(mlp, theta, inputs, activate=np.tanh):
     return x
 
 
+def outputs(mlp, theta, seen):
+    """Return the outputs [P, R, A] of `mlp` itself for policies `theta` [P, D] and inputs `seen` [P, R, O]."""
+    return mlp.forward(mlp.layers(mlp.expand(theta)), seen)
+
+
 def columns(view, observation, heading):
     """Return what a view of columns shows, and the heading in which it does."""
     return list(observation if view.indices is None else observation[list(view.indices)]), heading

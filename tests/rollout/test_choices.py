@@ -11,7 +11,6 @@ from shes.options import make
 from tests.e2e.own_classes import Nearness, Vector
 from tests.rollout import plain_agent
 
-HALF = math.sqrt(0.5)
 TURNS = ("one_hot", "heading_vector", "heading_direction")
 """Outputs that turn with the robot."""
 EDGES = np.array([(0, 0), (1e-3, 0), (1e-170, -1e-170), (5e-324, 5e-324), (-30, 40), (-2, -2)])
@@ -70,18 +69,6 @@ def test_rewards_are_those_of_the_second_implementation(name):
         left, before = math.dist(own, way), max(math.hypot(*way), 1e-3)
         if not 0 < min(math.hypot(*own), math.hypot(*way)) < 1e-300:  # there are no directions between such numbers
             assert row == pytest.approx(plain_agent.pay(name, left, before, own, way), rel=1e-9, abs=1e-12)
-
-
-def test_one_hot_outputs_by_hand():
-    """The authors add 1/8 to the angle in radians (`onehot_forward` in policy.jl, whose bins count from 1)."""
-    middle = [(-HALF, -HALF), (0, -1), (HALF, -HALF), (1, 0), (HALF, HALF), (0, 1), (-HALF, HALF), (-1, 0)]
-    ahead = goals.OneHotOutput().vector(1.75 * np.eye(8) - 1, np.zeros(8), 4.0)
-    turned = goals.OneHotOutput().vector(1.1 * np.eye(8) - 1, np.full(8, np.pi / 2), 4.0)
-    assert ahead == pytest.approx(3 * np.array(middle), abs=1e-12)
-    assert turned == pytest.approx(np.array(middle)[:, ::-1] * [-1, 1], abs=1e-12)  # at least 1 m
-    for number, (x, y) in enumerate(ahead, start=1):
-        authors = number * (2 * math.pi / 8) - math.pi + 1 / 8
-        assert math.remainder(authors - math.atan2(y, x), 2 * math.pi) == pytest.approx(1 / 8)
 
 
 class Three(goals.VectorOutput):

@@ -4,7 +4,7 @@ The device is a stand-in, `strict_arrays`: it refuses what CuPy refuses. Weights
 so that a matmul may round differently: numbers agree to a tolerance, counts exactly.
 """
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
@@ -18,9 +18,9 @@ from shes.rollout.worker import RolloutWorker, WorkerPlan
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from shes.sim.simulator import CpuSimulator
+from tests.rollout.formula import leaves
 from tests.rollout.made_up import taking
-from tests.strict_arrays import strict_xp
-from tests.strict_simulator import DeviceSimulator
+from tests.strict_arrays import DeviceSimulator, strict_xp
 
 HORIZON = 11
 SETTINGS = {"hidden": (8,), "horizon": HORIZON, "population_size": 8, "noise_table_size": 20_000}
@@ -77,24 +77,14 @@ def run(name, simulator, num_lanes, xp=np, episodes=3, **changed):
 
 def assert_close(mine, theirs, tolerance=1e-5):
     """Compare results, or parts of them, all of which are on the host; whole numbers exactly."""
-    assert type(mine) is type(theirs)
-    if isinstance(mine, dict):
-        assert mine.keys() == theirs.keys()
-        for name in mine:
-            assert_close(mine[name], theirs[name], tolerance)
-    elif isinstance(mine, (list, tuple)):
-        for pair in zip(mine, theirs, strict=True):
-            assert_close(*pair, tolerance)
-    elif is_dataclass(mine):
-        for name in {field.name for field in fields(mine)} - {"seconds"}:
-            assert_close(getattr(mine, name), getattr(theirs, name), tolerance)
-    elif isinstance(mine, np.ndarray) and mine.dtype.names:
-        for name in mine.dtype.names:
-            assert_close(mine[name], theirs[name], tolerance)
-    elif isinstance(mine, np.ndarray) and mine.dtype.kind == "f":
-        np.testing.assert_allclose(mine, theirs, rtol=tolerance, atol=tolerance)
-    else:
-        np.testing.assert_array_equal(mine, theirs)
+    one, other = (dict(leaves(each)) for each in (mine, theirs))
+    assert one.keys() == other.keys()
+    for place, value in one.items():
+        assert type(value) is type(other[place]), place
+        if np.asarray(value).dtype.kind == "f":
+            np.testing.assert_allclose(value, other[place], rtol=tolerance, atol=tolerance, err_msg=place)
+        else:
+            np.testing.assert_array_equal(value, other[place], err_msg=place)
 
 
 @pytest.mark.parametrize(

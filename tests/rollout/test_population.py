@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from shes.es.level import UpdateRule
 from shes.es.perturbation import PERTURBATIONS, member_signs
-from shes.es.shaping import PairRanks
 from shes.evolution.estimates import draw_episodes
 from shes.rollout.episodes import empty_outcomes
 from shes.rollout.roll_out import PopulationResults, divide
@@ -98,16 +97,6 @@ def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(price):
         expected = np.array(centred_ranks(fitness[own].tolist(), "average"))
         expected -= price * (fallen[own] - fallen[own].mean())
         assert rule.shape(fitness, signs[:, :, level], fallen) == pytest.approx(expected)
-
-
-def test_the_price_of_a_fall_goes_past_ranks():
-    """Where both of a pair fall it changes nothing; where all fall alike it changes no bit."""
-    fitness, signs, rule = np.random.default_rng(3).random(8), np.tile([1, -1], (4, 1)), UpdateRule(shaping=PairRanks())
-    dear, fallen = replace(rule, fall_price=15.0), np.array([0, 1, 0, 0, 1, 1, 1, 0])
-    plain, priced = (each.shape(fitness, signs, fallen) for each in (rule, dear))
-    assert (priced - plain)[0::2] - (priced - plain)[1::2] == pytest.approx([15, 0, 0, -15])
-    for share in (0.0, 1.0):
-        assert dear.shape(fitness, signs, np.full(8, share)).tobytes() == plain.tobytes()
 
 
 # How tasks are divided between workers --------------------------------------------------------------------------------

@@ -112,30 +112,6 @@ def test_every_task_has_the_numbers_of_a_plain_loop(name):
         assert every["goals_reached"].any()
 
 
-def test_the_ends_of_episodes_by_hand():
-    """A divergence pays nothing for its step and scores nothing; an aid's end pays for every step that is left."""
-    ends = [{"terminates_after": 4}, {}, {"diverges_after": 6}, {"terminates_after": 5, "diverges_after": 5},
-            {"terminates_after": 5}, {"terminates_after": 20}]  # fmt: skip
-    task, before, found = replace(tasks_of()[1], slots=tuple(range(6))), [], []
-    task = replace(task, seeds=tuple(make_seed(**end) for end in ends))
-    for stays_for in (0.0, -2.0):
-        make = lambda n: FakeTask(n, lambda task, *_: before.append(task.running_return.copy()))  # noqa: E731
-        rollout = Rollout(DESIGN, make, 1, 6, 20)
-        rollout.batch.stays_for = stays_for
-        found.append(results_of(rollout, [task])[1])
-    results, paid = (each.outcomes.view(np.recarray) for each in found)
-    assert results.steps.tolist() == [4, 20, 6, 5, 5, 20]
-    assert results.has_terminated.tolist() == [True, False, False, False, True, True]
-    assert results.has_fallen.tolist() == [False, False, False, False, True, False]  # after an odd number of steps
-    assert results.has_diverged.tolist() == [False, False, True, True, False, False]
-    assert (results.score[2], results.success[2]) == (0, False)
-    assert results.returns[2, 0] == before[5][2] != 0
-    assert results.returns[:, 0].tolist() == results.environment_returns.tolist()
-    extra = [-2.0 * 16, 0, 0, 0, -2.0 * 15, 0]
-    assert paid.environment_returns - results.environment_returns == pytest.approx(extra)
-    assert paid.returns - results.returns == pytest.approx(np.array([extra, [0] * 6]).T)
-
-
 def test_tasks_are_taken_when_a_lane_is_free():
     taken, seen, of = [], [], {**TRAINING, "episodes_per_policy": 1}
     ends = [make_seed(), *[make_seed(terminates_after=2)] * 3]

@@ -81,7 +81,7 @@ def recording() -> Iterator[Record]:
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr("shes.runs.build.WarpSimulator", DeviceSimulator)
         patch.setattr(worker, "WarpDevice", device)
-        patch.setattr("shes.algorithms.contract.WarpDevice", device)
+        patch.setattr("shes.evolution.strategies.WarpDevice", device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
         patch.setattr("shes.evolution.algorithm.update_level", record_update)
         yield record

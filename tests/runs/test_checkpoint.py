@@ -142,8 +142,6 @@ def test_damage_is_noticed_or_harmless(whole, share, value):
     assert_same(read, make())
 
 
-# Disks.
-
 FULL = (errno.ENOSPC, "the disk is full: make room, then start again .*`shes resume`")
 
 

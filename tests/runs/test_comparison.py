@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import shes
 from shes.cli import main
@@ -17,10 +16,8 @@ from tests.e2e import runs
 
 
 def test_an_interval_is_that_of_welch():
-    rng = np.random.default_rng(0)
-    first, second = rng.normal(size=5), rng.normal(1, 3, size=9)
-    found = stats.ttest_ind(second, first, equal_var=False).confidence_interval()
-    assert mean_difference_interval(first, second) == pytest.approx((found.low, found.high))
+    first, second = np.array([1.0, 2.0, 4.0]), np.array([3.0, 7.0, 9.0, 9.5])
+    assert mean_difference_interval(first, second) == pytest.approx((0.26255, 9.32078), abs=1e-5)
     assert mean_difference_interval(np.ones(3), np.full(4, 3.0)) == (2, 2)
 
 

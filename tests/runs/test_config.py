@@ -117,9 +117,6 @@ def test_workers_are_all_cores_unless_said(monkeypatch):
     assert (WorkerSettings().count, WorkerSettings(num_workers=2).count) == (3, 2)
 
 
-# Options of tasks and bodies from outside.
-
-
 def options_of(base, **fields):
     """Return settings of these fields: name=(type, default)."""
     found = [(name, *each) for name, each in fields.items()]
@@ -252,9 +249,6 @@ def test_the_presets_of_hiro_fit_a_small_maze(preset):
     assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
 
 
-# A run like another one.
-
-
 def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):
     given = {"algorithm": "es", "sigma": 0.07, "seed": 9, "generations": 0 + 1, "integrator": "rk4"}
     run = shes.train("point-gather", out=tmp_path / "run", **runs.TINY | given)
@@ -269,23 +263,23 @@ def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):
 def test_what_a_run_like_a_shipped_agent_takes():
     config, usual = make_config("ant-maze", None, {"like": "ant-gather"}), make_config("ant-maze")
     assert (config.values["primitive"], config.values["waypoints"]) == ("ant-walker", usual.values["waypoints"])
+    for primitive in ("ant-walker", None):  # what the error below says to give instead
+        values = make_config(None, None, {"like": "ant-walker", "primitive": primitive}).values
+        assert (values["primitive"], values["freeze_primitive"]) == (primitive, False)
 
 
 LIKE = [
     (None, {"like": "gone"}, r"gone does not exist\. Give the folder that `shes train` printed"),
+    (None, {"like": "ant-maze", "algorithm": "es"}, "primitive is 'ant-walker' in ant-maze, but it is not a setting"),
     (
         None,
-        {"like": "ant-maze", "algorithm": "es"},
-        r"primitive is 'ant-walker' in ant-maze, but it is not a setting of",
+        {"like": "ant-walker"},
+        "^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set",
     ),
-    (None, {"like": "ant-walker"}, r"--primitive fifth-walker: fifth-walker does not exist"),
+    (None, {"like": 3}, r"a run must be the path of its folder or the name of a shipped agent, got 3\.$"),
     ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
     ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
-    (
-        "ant-gather",
-        {"like": "ant-maze", "preset": "smoke"},
-        "preset has no effect with like, got 'smoke'. Omit --preset",
-    ),
+    ("ant-gather", {"like": "ant-maze", "preset": "smoke"}, "preset has no effect with like, got 'smoke'. Omit --p"),
 ]
 
 
@@ -300,7 +294,7 @@ ON_WALKER = {"primitive": "ant-walker"}
 FROZEN = r"{name} has no effect on a frozen primitive; got {value}"
 NO_SETTING = r"{name} is not a setting of a run of %s with algorithm '%s', got {value}. Omit --{flag}."
 ONE_PROCESS = r"{name} is '?{value}'?, but one process serves device cuda. Omit --"
-NO_BUFFERS = "{name} is {value}, but the CPU's .* no fixed buffers and always repeats its .*omit --{name}"
+NO_BUFFERS = "{name} has no effect with device 'cpu', got {value}. Set --device to warp-cpu or cuda, or omit --{name}"
 IDLE = [
     # Environment; a setting that has no effect, and others; the message; what helps.
     ("point-gather", {"schedule_generations": 50},

@@ -109,8 +109,6 @@ def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
     assert [(each.levelname, each.message) for each in caplog.records] == [("WARNING", "worker 7 is silent")]
 
 
-# Controllers that have learned nothing.
-
 NAMES = ["weights at zero", *(f"{degrees} degrees" for degrees in (0, 45, 90, 135, 180, -135, -90, -45))]
 MAZE = {
     "evaluation_target": (0.0, 3.0),

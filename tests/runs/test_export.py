@@ -163,9 +163,6 @@ def test_an_external_robot_is_told_its_pose(tmp_path):
         observation, _, _, _, info = env.step(action)
 
 
-# ONNX.
-
-
 class OnnxAgent(run_exported.ExportedAgent):
     """The same agent whose networks are ONNX graphs, run by onnx's reference evaluator."""
 

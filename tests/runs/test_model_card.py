@@ -10,11 +10,12 @@ from shes.runs import listings
 from shes.runs.shipped import read_agent
 
 
-def test_the_card_of_a_shipped_agent_has_its_stored_scores(capsys):
-    assert main(["info", "ant-gather", "--card"]) == 0
-    text, agent = capsys.readouterr().out, read_agent("ant-gather")
-    for each in agent.evaluations:
-        assert f"| {each.controller} | {each.score} | {100 * each.success_rate:.0f} % |" in text
+@pytest.mark.parametrize("name", ["ant-gather", "ant-walker"])
+def test_the_card_of_a_shipped_agent_has_its_stored_scores(capsys, name):
+    assert main(["info", name, "--card"]) == 0
+    text, agent = capsys.readouterr().out, read_agent(name)
+    for each in filter(None, agent.evaluations):
+        assert f"| {each.controller or 'none'} | {each.score} | {100 * each.success_rate:.0f} % |" in text
     for expected in (f'value: "{agent.evaluation.score}"', f"{agent.env_steps:,} environment", agent.commands[-1]):
         assert expected in text
     assert "<video" not in text
@@ -30,9 +31,3 @@ def test_the_card_of_a_run_has_scores_of_fresh_episodes(run_copy, monkeypatch, c
         assert f"| {found.controller} | {found.scores.mean():.2f} ± " in text
     lines = r"- seed \d+, [\d,]+ environment steps, \d+ generations\n- trained by `.+`\n\n<video .*replay"
     assert re.search(lines, text)
-
-
-@pytest.mark.extras
-def test_the_card_of_a_walker_has_a_single_score(capsys):
-    assert main(["info", "ant-walker", "--card"]) == 0
-    assert re.findall(r"^\| (\w+) \| \d+\.\d\d ± ", capsys.readouterr().out, flags=re.MULTILINE) == ["none"]

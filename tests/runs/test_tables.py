@@ -86,9 +86,6 @@ def test_a_broken_table_is_refused_and_an_empty_one_goes_on(run_copy, case):
     assert path.read_text().startswith("generation,")
 
 
-# TensorBoard.
-
-
 def events(folder):
     """Return the events of all files of a folder, file after file, as TensorBoard reads them."""
     found = []
@@ -137,9 +134,6 @@ def test_a_resume_hides_charts_that_it_repeats(run_copy, monkeypatch):
     (written,) = (each.session_start_info.hparams for each in sessions if each.HasField("session_start_info"))
     assert (written["sigma"].number_value, written["env"].string_value) == (0.07, "point-gather")
     assert (written["hidden"].string_value, written["seed"].number_value) == ("[4]", 5)
-
-
-# Times of runs.
 
 
 def test_times_go_on_from_the_last_whole_row_with_evaluations(run_copy):

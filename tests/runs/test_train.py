@@ -53,11 +53,6 @@ def test_a_run_that_is_not_over_says_how_it_goes_on(tmp_path):
     assert RunFolder(path).load("last").best.generation == -1
 
 
-def test_several_seeds_are_several_calls():
-    with pytest.raises(ConfigError, match=r"seed must be one number, got \[1, 2\]: .* shes train ENV --seed 1 2 3"):
-        shes.train("point-gather", preset="smoke", seed=[1, 2])
-
-
 def test_a_generation_is_written_as_rows_then_checkpoints(tmp_path, monkeypatch):
     """A machine that goes down loses what is not: a checkpoint whose rows are missing could not go on."""
     path, synced, original = runs.train_tiny(tmp_path / "run", generations=1), [], os.fsync

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from shes.runs.build import build_algorithm
-from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback, input_words
 from shes.viewing.render import captioned
+from tests.envs.episodes import make_task
 
 LONG = "/home/somebody/experiments/point-gather/transfer/published/seed-3"
 FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")
@@ -33,21 +32,6 @@ def test_a_text_that_is_too_long_is_shortened_in_its_middle():
         assert (whole != of(start + "x" * 98 + end)).any()
 
 
-def words_of(env, view=None, **settings):
-    """Return a new task and what a controller with `view`, or that of the settings, sees of it."""
-    algorithm = build_algorithm(make_config(env, "smoke", settings))
-    task = algorithm.problem.make_task(is_evaluation=True)
-    task.reset(np.array([0]), [3])
-    return task, input_words(view or algorithm.design.controller_view, task)
-
-
-def test_the_few_inputs_of_a_position_view_are_listed():
-    task, words = words_of("ant-maze", controller_view="position")
-    x, y = task.position[0]
-    place = (f"torso x {x:.2f}", f"torso y {y:.2f}", "time 0.00", "target x 0.00", "target y 0.16")
-    assert words == ("controller sees 5 values", *place)
-
-
 def test_three_inputs_of_one_word_are_listed_and_four_are_not():
     class View:
         def names(self, _):
@@ -56,8 +40,10 @@ def test_three_inputs_of_one_word_are_listed_and_four_are_not():
         def write(self, observation, heading, values):
             values[:] = np.arange(7)
 
+    task = make_task("point-maze", 1)
+    task.reset(np.array([0]), [3])
     listed = ("food 1 0.00", "food 2 1.00", "food 3 2.00", "4 of wall up to 6.00")
-    assert words_of("point-maze", View())[1] == ("controller sees 7 values", *listed)
+    assert input_words(View(), task) == ("controller sees 7 values", *listed)
 
 
 def test_inputs_are_those_of_a_controller_and_shown_if_asked_for(tiny_run, kinds):

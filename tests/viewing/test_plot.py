@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 from shes.errors import ConfigError, RunFolderError, StorageError
 from shes.runs.folder import RunFolder
-from shes.viewing.curves import X_AXES, column_curve
-from shes.viewing.groups import group_runs, read_run, read_runs
+from shes.viewing.curves import X_AXES, column_curve, group_runs, read_run, read_runs
 from shes.viewing.plot import plot
 from tests.e2e import runs
 

@@ -8,8 +8,7 @@ import pytest
 
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.viewing.curves import column_curve
-from shes.viewing.groups import group_runs, read_run
+from shes.viewing.curves import column_curve, group_runs, read_run
 from shes.viewing.playback import Playback
 from shes.viewing.report_figures import MOST_EPISODES, X_AXES, Panel, curve_figure, panels_of, play_maps
 from tests.e2e import runs

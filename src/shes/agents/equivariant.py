@@ -64,14 +64,8 @@ class EquivariantMLP(MLP):
         """Parameter of each weight and bias of the network [W]."""
         self.sign: F32Array = np.concatenate(sign).astype(np.float32)
         """+1 or -1 [W], or 0 for weights that the symmetry forbids."""
-        self._first = np.concatenate(first)  # the first weight of each parameter
+        self._first = np.concatenate(first)
         self._input_orbit, self._input_sign = _orbits(actions[0], trivial)
-
-    def initial(
-        self, rng: np.random.Generator, biases: str = "zero", output_weights: str = "glorot_normal"
-    ) -> F32Array:
-        """Return initial parameters [D], of the same distribution as the weights of an `MLP` of this size."""
-        return super().initial(rng, biases, output_weights)[self._first]
 
     def expand(self, theta: F32Array, xp: ModuleType = np) -> F32Array:
         """Return the weights and biases [P, W] of policies `theta` [P, D], arrays of `xp`."""

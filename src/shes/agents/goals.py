@@ -20,8 +20,6 @@ from shes.types import F64Array
 
 DISTANCE_UNIT_M = 1000.0
 """Encoded distances are divided by this (paper II-C)."""
-NUM_DIRECTIONS = 8
-"""Number of directions of a one-hot output."""
 MIN_DISTANCE_M = 1.0
 """Minimum goal distance of a one-hot output."""
 
@@ -122,18 +120,18 @@ class OneHotOutput(ControllerOutput):
     goal lies within the 108 degrees behind to the left. Here all tasks have the same eight directions.
     """
 
-    size = NUM_DIRECTIONS
+    size = 8
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector in the direction of the largest output."""
-        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_DIRECTIONS) - np.pi
+        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / self.size) - np.pi
         angle += heading
         distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
         return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
 
     def of_direction(self, angles: F64Array) -> F64Array:
         """Return the outputs [K, 8] that select the nearest of the eight directions."""
-        return super().of_direction(angles + np.pi - 2 * np.pi / NUM_DIRECTIONS)
+        return super().of_direction(angles + np.pi - 2 * np.pi / self.size)
 
 
 class SectorOutput(ControllerOutput):

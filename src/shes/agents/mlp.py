@@ -56,6 +56,7 @@ class MLP:
     """Activation of the hidden layers, `tanh` or `relu`. The output layer always has tanh."""
     is_tied: ClassVar[bool] = False
     """Whether weights share parameters, so that `expand` has to be called before `layers`."""
+    _first: slice | IntArray = slice(None)  # the first weight of each parameter
 
     @checked
     def __init__(
@@ -80,7 +81,7 @@ class MLP:
             parts += [weights.astype(np.float32), (bias * (biases != "zero")).astype(np.float32)]
         if output_weights == "zero":
             parts[-2:] = [np.zeros_like(part) for part in parts[-2:]]
-        return np.concatenate(parts)
+        return np.concatenate(parts)[self._first]
 
     def expand(self, theta: F32Array, xp: ModuleType = np) -> F32Array:
         """Return the weights and biases [P, W] of policies `theta` [P, D]: here the parameters themselves."""
@@ -99,12 +100,8 @@ class MLP:
             start = end + fan_out
         return tuple(found)
 
-    def act(self, theta: F32Array, observation: F32Array) -> F32Array:
-        """Return the outputs [P, R, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, R, O]."""
-        return self.forward(self.layers(self.expand(theta)), observation)
-
     def forward(self, layers: Layers, observation: F32Array, mean: Layers = (), rows: Rows = ()) -> F32Array:
-        """Return the outputs [P, R, A] of policies on normalised `observation` [P, R, O].
+        """Return the outputs [P, R, A] in [-1, 1] of policies on normalised `observation` [P, R, O].
 
         The R rows of a lane may share noise N, which is read once for all of them: `x (W + s N) = x W + s (x N)`. With
         few rows, a matmul with separate weights for each policy would be limited by memory bandwidth.

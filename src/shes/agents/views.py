@@ -136,12 +136,8 @@ class EgocentricView(View):
 
     def to_dict(self) -> dict[str, Any]:
         """Return body or joints of its home pose, and the indices of its qpos and qvel and of the other values."""
-        qpos, qvel, others = self._places
-        own = (
-            {"body": self.body.name}
-            if self.body.home is None
-            else {"body": "free", "home": self.body.home[7:].tolist()}
-        )
+        (qpos, qvel, others), home = self._places, self.body.home
+        own = {"body": self.body.name} if home is None else {"body": "free", "home": home[7:].tolist()}
         return {"kind": "egocentric", **own, "qpos": qpos, "qvel": qvel, "columns": others}
 
 

@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from types import ModuleType
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -24,7 +23,6 @@ from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.rollout.worker import EpisodeSetup, WorkerPlan
 from shes.settings import Settings
-from shes.sim.warp_device import WarpDevice
 from shes.types import F64Array
 
 
@@ -37,11 +35,6 @@ class Problem(EpisodeSetup):
     noise_table_size: int
     num_threads: int = 1
     """Number of threads that the parent process may use."""
-
-    @property
-    def xp(self) -> ModuleType:
-        """Module of the arrays on the device: NumPy or CuPy."""
-        return np if self.device == "cpu" else WarpDevice(self.device).xp
 
     def make_task(self, *, is_evaluation: bool = False) -> EpisodeBatch:
         """Return the environment for one episode. The caller closes it."""
@@ -73,8 +66,6 @@ class LevelTransfer(ABC):
     A setting with the name of the level gives the other run, and `LEVEL_checkpoint` its checkpoint.
     """
 
-    name: ClassVar[str]
-    """Name of the level."""
     trained_by: ClassVar[str]
     """Runs that train such a level, for error messages."""
     advice: ClassVar[str]
@@ -90,11 +81,11 @@ class LevelTransfer(ABC):
     def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the level in words. Both runs must have the same."""
 
-    def move(self, source: Any, state: Any) -> Any:
-        """Return `state` with the parameters and statistics of the level in state `source`. Both have `levels`."""
-        theirs = next(level for level in source.levels if level.name == self.name)
+    def move(self, name: str, source: Any, state: Any) -> Any:
+        """Return `state` with the parameters and statistics of level `name` in state `source`. Both have `levels`."""
+        theirs = next(level for level in source.levels if level.name == name)
         levels = tuple(
-            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == self.name else level
+            replace(level, theta=theirs.theta, statistics=theirs.statistics) if level.name == name else level
             for level in state.levels
         )
         return replace(state, levels=levels)
@@ -228,11 +219,6 @@ class Algorithm(ABC, Generic[StateT]):
     def warnings(settings: Any) -> Sequence[str]:  # noqa: ARG004 - a subclass reads them
         """Return warnings about the settings, which are logged at the start of a run."""
         return ()
-
-    @staticmethod
-    def steps_per_generation(settings: Any) -> int:
-        """Return the environment steps of a generation if no episode ends early. By default it is one episode."""
-        return settings.episodes.horizon
 
     @staticmethod
     def population(settings: Any) -> tuple[int, int]:  # noqa: ARG004 - a subclass reads them

@@ -9,6 +9,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 from threadpoolctl import threadpool_limits
@@ -65,7 +66,7 @@ class Worker(Protocol):
 WorkerFactory: TypeAlias = Callable[[], Worker]
 
 
-class Backend(ABC):
+class Backend(AbstractContextManager["Backend"]):
     """Distributes tasks over workers. As a context manager, it closes the workers on exit.
 
     A subclass is made from a `WorkerFactory`, the number of workers, and its `Options` as keyword arguments.
@@ -80,7 +81,7 @@ class Backend(ABC):
         """Return the number of workers for `--workers 0`: one for every core that this process may use."""
         return num_cores()
 
-    def on_event(self, event: str, /) -> None:  # noqa: B027 - nobody has to listen
+    def on_event(self, event: str, /) -> None:
         """Receive a message about silent, lost and replaced workers; replaced by whoever wants to hear of them."""
 
     @abstractmethod
@@ -94,9 +95,6 @@ class Backend(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close the workers, even if they are busy."""
-
-    def __enter__(self) -> Backend:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()

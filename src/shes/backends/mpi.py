@@ -187,5 +187,4 @@ def _nap_until(is_there: Callable[[], bool], timeout_s: float = inf) -> None:
 
 
 def _serve_rank(factory: bytes) -> None:
-    """Do the work of a rank until the main process closes it."""
     serve(_Parent(), factory)

@@ -31,7 +31,6 @@ class RemoteWorker(ABC):
     """A worker in another process as its parent sees it."""
 
     def __init__(self, name: str, *, is_started: bool = True) -> None:
-        """Begin without tasks. `name` is for messages."""
         self.name = name
         self.is_started = is_started  # if not, it waits for a core of the cluster
         self.is_ready = False  # it has sent a request
@@ -75,7 +74,6 @@ class SupervisingBackend(Backend):
     """Advice in the message about workers that keep dying."""
 
     def __init__(self, num_workers: int) -> None:
-        """Begin without workers."""
         self.num_workers = num_workers
         self.clock: Callable[[], float] = monotonic
         self.workers: list[Any] = []
@@ -255,6 +253,5 @@ class SupervisingBackend(Backend):
         self._engage()
 
     def _task_text(self, number: int) -> str:
-        """Return the number of a task and, briefly, what it is."""
         what = shorten(repr(self._tasks[number]), _MOST_LETTERS, placeholder=" ...")
         return f"task {number + 1} of {len(self._tasks)}, {what}"

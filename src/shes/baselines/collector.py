@@ -31,7 +31,6 @@ class Actor:
     """Whether outputs are uniform in their range."""
 
     def __init__(self, level: Level) -> None:
-        """Prepare the actor of `level`."""
         self.level, self._limit = level, np.array(level.half_range)
 
     def use(self, network: Network, statistics: ObservationStatistics) -> None:
@@ -158,7 +157,6 @@ class Collector:
         return {"policy": self.batch.running_return}
 
     def _record(self, rows: IntArray) -> None:
-        """Record the outcomes of the episodes in `rows`."""
         if not len(rows):
             return
         batch = self.batch

@@ -47,7 +47,6 @@ class _HiroAgent(AgentBatch["HiroDesign"]):
         self._view = design.primitive_view.on(xp)
 
     def act(self, inputs: AgentInputs) -> F32Array:
-        """Return the controls [N, A] of one step, after setting new goals where due."""
         design, size, observation = self.design, self.design.decision_size, inputs.observation
         coordinates = design.coordinates(observation, inputs.position)
         is_due = self.clock % design.controller_interval == 0
@@ -151,7 +150,6 @@ class _HiroCollector(Collector):
         return {"controller": self.batch.running_return, "primitive": self._intrinsic_return}
 
     def _decide(self, rows: IntArray, rng: np.random.Generator) -> None:
-        """Let the controllers of episodes `rows` set new goals."""
         if not len(rows):
             return
         self._goal[rows] = self.actors[0].act(self.observation, rng)[rows]

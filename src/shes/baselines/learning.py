@@ -143,7 +143,6 @@ class LevelLearner:
     """Learns one level from its replay buffer during a generation."""
 
     def __init__(self, level: Level, state: LearnerState) -> None:
-        """Begin with `state`."""
         self.level, self.settings, self.replay = level, level.settings, state.replay
         self.statistics = self._observed = state.statistics
         self.learner = jax.tree.map(jnp.array, state.learner)  # a copy, because updates consume it

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any, ClassVar
@@ -57,11 +58,6 @@ class TD3(Algorithm[TD3State]):
     learns_in_main_process: ClassVar[bool] = True
     collector: ClassVar[type[Collector]] = Collector
     """Class of the collector of experience."""
-
-    @staticmethod
-    def steps_per_generation(settings: Any) -> int:
-        """Return the environment steps of a generation, without the rest of the episodes that are then running."""
-        return settings.learner.generation_steps
 
     def __init__(self, problem: Problem) -> None:
         """Create agents and levels; raise ConfigError if TD3 cannot learn in this problem."""
@@ -128,19 +124,16 @@ class TD3(Algorithm[TD3State]):
         """Yield a report after every generation from `state` on, indefinitely. `backend` is not used."""
         self.check_installed(self.problem.settings.run.algorithm)
         learning = importlib.import_module(LEARNING)
-        batch, actors = self.problem.env.make(self.settings.num_envs, self.problem.training), map(Actor, self.levels)
-        try:
-            collector = self.collector(batch, self.design, tuple(actors), self.problem.horizon, self.settings)
+        with closing(self.problem.env.make(self.settings.num_envs, self.problem.training)) as batch:
+            actors = [Actor(level) for level in self.levels]
+            collector = self.collector(batch, self.design, actors, self.problem.horizon, self.settings)
             while True:
                 with learning.plain_settings():
                     report = self._generation(state, collector, learning.make_learners(self.levels, state.learners))
                 state = report.state
                 yield report
-        finally:
-            batch.close()
 
     def _generation(self, state: TD3State, collector: Collector, learners: Mapping[str, Any]) -> Report[TD3State]:
-        """Return the report of the generation that follows `state`."""
         own, start, env_steps = self.settings, perf_counter(), state.env_steps
         is_random = env_steps < own.warmup_steps
         num_steps = own.warmup_steps - env_steps if is_random else own.generation_steps

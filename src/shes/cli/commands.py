@@ -46,8 +46,7 @@ def train(
     configs = vary(env, preset, settings, seed, swept)
     first = next(iter(configs.values()))
     place = new_folder(first, f"{len(configs)}-runs") if out is None else checked_out(out)
-    folder = RunsFolder.create(place, configs)
-    return folder.train_shown(list(configs))
+    return RunsFolder.create(place, configs).train_shown(list(configs))
 
 
 def resume(run: str, settings: dict[str, Any]) -> Run | Listing:

@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from time import monotonic
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import shes
 from shes.console import LineConsole
@@ -20,6 +20,7 @@ EPISODES = 50
 _GATHERING = {"camera": "top", "speed": 2.0}
 """View of the videos. Without a GPU a view from above is drawn three times as fast as the one that follows the robot,
 which has shadows. With half of the frames, too, a whole episode of 50 s is drawn in 20 s on two cores."""
+_RETURN = "return on moving goals (untrained it stands: 0)"
 _SCORE = "score (8 is the most there is)"
 _BEFORE_AFTER = ("0", "best")  # checkpoints
 _SEED = 0  # of the fresh episodes: both checkpoints are evaluated and drawn in the same ones
@@ -41,50 +42,36 @@ class Stage(NamedTuple):
     """Arguments of `train`."""
 
 
-_WALK = ("walking", "ant-flagrun", "return on moving goals (untrained it stands: 0)", "returns")
-_ANT = (
+_TEXT = (
     "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1) and "
     "leave poison (-1): a controller sets the goals. Four minutes if idle; Ctrl-C stops and keeps everything."
 )
-_POINT = (
-    "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, "
-    "and a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything."
+STAGES = (
+    Stage("walking", "ant-flagrun", _RETURN, "returns", {"camera": "follow", "steps": 100}),
+    # Generations, not minutes: a slow or busy machine takes longer, but shows the same.
+    Stage("gathering", "ant-gather", _SCORE, "scores", _GATHERING, {"generations": 20}),
 )
-DEMOS = {
-    "ant": (
-        _ANT,
-        Stage(*_WALK, {"camera": "follow", "steps": 100}),
-        # Generations, not minutes: a slow or busy machine takes longer, but shows the same.
-        Stage("gathering", "ant-gather", _SCORE, "scores", _GATHERING, {"generations": 20}),
-    ),
-    "point": (_POINT, Stage("gathering", "point-gather", _SCORE, "scores", _GATHERING)),
-}
-"""The stages of each robot's demo, with the text printed before them."""
 
 
-def demo(robot: Literal["ant", "point"] = "ant") -> None:
+def demo() -> None:
     """Train a robot that collects food, in minutes, and draw it before and after training.
 
     Everything is written below runs/ in the working directory.
-
-    Args:
-        robot: The ant learns to walk and then to collect food; the point moves by itself.
     """
-    text, *stages = DEMOS[robot]
     console, start = LineConsole(), monotonic()
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-    console.print(text, highlight=False)
+    console.print(_TEXT, highlight=False)
     try:
         typical, primitive = list[int](), dict[str, Any]()
-        for stage in stages:
+        for stage in STAGES:
             typical.append(_learn(console, folder / stage.name, stage, primitive))
             primitive = {"primitive": folder / stage.name}
-        for stage, episode in zip(stages, typical, strict=True):
+        for stage, episode in zip(STAGES, typical, strict=True):
             _draw(console, folder / stage.name, stage, episode)
     except KeyboardInterrupt as stop:
         stop.add_note(f"Stopped{f'; the runs so far are in {folder}' if folder.exists() else ''}.")
         raise
-    last = folder / stages[-1].name
+    last = folder / STAGES[-1].name
     program = "shes" if shutil.which("shes") else os.path.relpath(Path(sys.executable).with_name("shes"))
     console.print_line(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"

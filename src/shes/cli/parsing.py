@@ -36,7 +36,7 @@ from shes.errors import ConfigError
 from shes.runs.config import TrainConfig, by_name, known_settings, resumable_settings, settings_by_section
 from shes.runs.make_config import make_config, transferred_levels
 from shes.runs.progress_display import drawing_progress
-from shes.settings import Setting, flag, setting_fields
+from shes.settings import Setting, Shown, flag, setting_fields
 from shes.types import Listing
 
 DEFAULT_ENV = "ant-gather"
@@ -218,7 +218,7 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, words: Sequenc
         groups = {"settings": _group("A setting that is not given keeps its value.", offered, values)}
     elif _HELP_ALL not in words:
         title = f"Values of preset {config.run.preset} for {config.run.env}. All {len(here)} settings: {_HELP_ALL}."
-        everyday = {name: each for name, each in offered.items() if each.is_everyday}
+        everyday = {name: each for name, each in offered.items() if any(note.everyday for note in each.all_of(Shown))}
         groups = {"everyday": _group(title, everyday, values, is_brief=True)}
     else:
         groups = {}

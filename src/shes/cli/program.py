@@ -77,7 +77,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    """Run the command that `words` begin with."""
     name, *rest = words
     if name in ("-h", "--help", "--help-all", "help"):
         width = max(map(len, COMMANDS))

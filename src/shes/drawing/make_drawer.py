@@ -114,7 +114,7 @@ class _Sheet:
 class PassthroughDrawer:
     """Draws an environment that draws itself. Its poses are pictures [H, W, 3]; it ignores markers."""
 
-    cameras = ("own",)
+    cameras, model = ("own",), None
 
     def __init__(self, width: int, height: int) -> None:
         self.size = (width, height)
@@ -122,10 +122,6 @@ class PassthroughDrawer:
     def draw(self, pose: Any, markers: Sequence[Marker] = (), camera: str = "own") -> Picture:
         """Return `pose` at this drawer's size, with black bars if the proportions differ."""
         return np.asarray(ImageOps.pad(Image.fromarray(np.asarray(pose, dtype=np.uint8)), self.size))
-
-    def between(self, start: Any, end: Any, fraction: float) -> Any:
-        """Return `end`: pictures are not interpolated."""
-        return end
 
     def close(self) -> None:
         """Do nothing: the environment is closed by its owner."""

@@ -47,10 +47,6 @@ class Renderer(ABC):
     def close(self) -> None:  # noqa: B027 - some hold none
         """Release its resources."""
 
-    def between(self, start: F64Array, end: F64Array, fraction: float) -> F64Array:
-        """Return the pose [nq] a `fraction` of the way from `start` to `end`."""
-        return between(self.model, start, end, fraction)
-
     @property
     def top_view(self) -> tuple[float, float, float]:
         """Centre x and y, and half height, of the picture from above, in metres."""
@@ -59,8 +55,10 @@ class Renderer(ABC):
         return (left + right) / 2, (bottom + top) / 2, half
 
 
-def between(model: mujoco.MjModel, start: F64Array, end: F64Array, fraction: float) -> F64Array:
-    """Return the pose a `fraction` of the way from `start` [nq] to `end` [nq]."""
+def between(model: mujoco.MjModel | None, start: F64Array, end: F64Array, fraction: float) -> F64Array:
+    """Return the pose a `fraction` of the way from `start` [nq] to `end` [nq]; `end` where poses are pictures."""
+    if model is None:
+        return end
     velocity, pose = np.zeros(model.nv), np.array(start, dtype=np.float64)
     mujoco.mj_differentiatePos(model, velocity, 1.0, start, end)
     mujoco.mj_integratePos(model, pose, velocity, fraction)

@@ -31,13 +31,13 @@ class Reader(ABC):
 
     @abstractmethod
     def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
-        """Return positions [N, 2] in metres and headings [N] in radians of robots that observe `rows` [N, O].
+        """Return positions [N, 2] and headings [N] in radians of robots that observe `rows` [N, O].
 
-        An environment may need its `info`, or `env` itself.
+        Positions are in units of `EpisodeBatch.scale`. An environment may need its `info`, or `env` itself.
         """
 
     def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array | None:
-        """Return the goals [N, 2] in metres that the environment sets, given what `locate` found, or None."""
+        """Return the goals [N, 2] that the environment sets, in units of what `locate` has found; None without."""
         return None
 
     @abstractmethod
@@ -51,7 +51,7 @@ class Places(NamedTuple):
     cells: IntArray
     """Cells [N, K], in whole steps of coordinates that matter in the task."""
     positions: F64Array
-    """Positions [N, 2 or 3] in metres, with as many coordinates as the task's target."""
+    """Positions [N, 2 or 3] in units of `scale`, with as many coordinates as the task's target."""
     is_upright: BoolArray
     """Whether the robot has not fallen [N]."""
     is_success: BoolArray
@@ -72,9 +72,11 @@ class EpisodeBatch(ABC):
     has_places: ClassVar[bool] = False
     """Whether the task has a target, and `places` to search for a way to it."""
     ground_m: float = 0.0
-    """Height of the ground at the robot's start, in metres times `scale`."""
+    """Height of the ground at the robot's start, in units of `scale`."""
     scale: float = 1.0
-    """Metres that count as one in positions, goals, distances and rewards; see `Body.scale`."""
+    """Unit of positions, goals, distances and rewards in metres: 1, but for a robot from a file; see `Body.scale`.
+
+    Observed coordinates and velocities are in metres in any case."""
     robot: Body | None = None
     """The robot; None in an external environment, which draws itself."""
     num_episodes: int
@@ -113,7 +115,7 @@ class EpisodeBatch(ABC):
     truncated: BoolArray
     """Whether a time limit of the environment's own has ended the episode [N]: its state is not a terminal one."""
     goal: F64Array | None = None
-    """Goals that the environment sets [N, 2] in metres; None if a controller sets them."""
+    """Goals that the environment sets [N, 2], in units of `scale`; None if a controller sets them."""
     ends_early: bool = False
     """Whether an aid of training ends episodes that the task itself would not end."""
 
@@ -131,7 +133,7 @@ class EpisodeBatch(ABC):
     @property
     @abstractmethod
     def position(self) -> F64Array:
-        """Robots' positions [N, 2], in multiples of `scale`: metres, but for a robot from a file."""
+        """Robots' positions [N, 2], in units of `scale`."""
 
     @property
     @abstractmethod

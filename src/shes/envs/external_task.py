@@ -27,7 +27,7 @@ from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameEr
 from shes.machine import resident_memory
 from shes.registry import full_name
 from shes.settings import Example
-from shes.sim.simulator import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
+from shes.sim.simulator import DIVERGENCE, CpuSimulator, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
 _LOG = logging.getLogger("shes.run")
@@ -93,17 +93,16 @@ class ExternalTask(EpisodeBatch):
 
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
-        for values in (self.time, self.running_return, self._score):
+        for values in (self.time, self.running_return, self._terminated, self.truncated, self._fallen, self.diverged):
             values[ids] = 0
-        for flags in (self._terminated, self.truncated, self._fallen, self.diverged):
-            flags[ids] = False
+        asked = self.environment.options.reset_options
         for i, seed in zip(ids.tolist(), seeds, strict=True):
-            env = self._env(i)
+            env, options = self._env(i), {} if asked is None else {"options": deepcopy(asked)}
             with self.environment.explained("reset"):
-                observation, info = self.environment.reset_one(env, int(seed) % _NUM_SEEDS)
+                observation, info = env.reset(seed=int(seed) % _NUM_SEEDS, **options)
                 physics = find_physics(env)
                 if physics is not None:
-                    forget_divergences(physics)
+                    physics.warning.number[DIVERGENCE] = 0  # as `mj_resetData` does
                 self._record(i, env, observation, 0.0, info)
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
@@ -130,7 +129,7 @@ class ExternalTask(EpisodeBatch):
         is_number = np.abs(row) <= LARGEST  # False for NaN, too
         is_broken = bool(info.get("diverged", False)) or not (abs(reward) <= LARGEST and is_number.all())
         self._rows[i] = np.where(is_number, row, 0.0)
-        self.diverged[i] |= is_broken or (physics is not None and count_divergences(physics) > 0)
+        self.diverged[i] |= is_broken or (physics is not None and physics.warning.number[DIVERGENCE].any())
         if self.diverged[i]:
             self.reward[i] = self._score[i] = self._success[i] = 0
             return
@@ -164,10 +163,13 @@ class ExternalTask(EpisodeBatch):
 
     def close(self) -> None:
         """Close the environments: all of them, even if some raise an error."""
-        envs = list(filter(None, self._envs))
+        envs = filter(None, self._envs)
         self._envs = [None] * self.num_episodes
         for env in envs:
-            self.environment.close_one(env)
+            try:
+                env.close()
+            except (Exception, SystemExit) as error:  # noqa: BLE001 - of the user's code, and nothing depends on it any more
+                _LOG.warning("%s cannot be closed: %s: %s", self.environment.name, type(error).__name__, error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,18 +200,12 @@ class ExternalEnvironment:
         return {**vars(self), "source": self.spec or self.source}
 
     @property
-    def kwargs(self) -> dict[str, Any]:
-        """Keyword arguments with which the environment is made."""
-        return self.options.env_kwargs or {}
-
-    @property
     def spec(self) -> EnvSpec | None:
         """Registration in Gymnasium; None if a function makes the environment. An unknown id raises."""
         if not isinstance(self.source, str):
             return None if callable(self.source) else self.source
-        if self.source not in gymnasium.registry:
-            with self.explained("be found"):
-                _import_robotics(self.source)
+        with self.explained("be found"):
+            _import_robotics(self.source)
         if self.source not in gymnasium.registry:
             close = get_close_matches(self.source, gymnasium.registry, n=5) or ["none like it"]
             raise UnknownNameError("Gymnasium environment", self.source, close, "Import its package: --import MODULE.")
@@ -222,21 +218,19 @@ class ExternalEnvironment:
         if spec is None:
             with closing(self.make_one()) as env:
                 spec = env.spec
-        elif (limit := self.kwargs.get("max_episode_steps")) is not None:  # of `gymnasium.make`
+        elif (limit := (self.options.env_kwargs or {}).get("max_episode_steps")) is not None:  # of `gymnasium.make`
             return limit
         return spec and spec.max_episode_steps
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect."""
-        if simulator is not CpuSimulator:
-            raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
+        """Return `num_episodes` episodes. The options and the simulator of SHES's own physics have no effect."""
         return ExternalTask(self, num_episodes)
 
     def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
         """Return a single environment without the time limit of its registration: the caller counts the steps."""
-        spec, asked = self.spec, deepcopy(self.kwargs)
+        spec, asked = self.spec, deepcopy(self.options.env_kwargs or {})
         asked |= {} if render_mode is None else {"render_mode": render_mode}
         log_physics_warnings()  # MuJoCo's compiler warns too
         with self.explained(f"be made{f' with {asked}' if asked else ''}"):
@@ -248,29 +242,13 @@ class ExternalEnvironment:
                 raise ConfigError(f"its function must return a gymnasium.Env, got {env!r}.")
             return env
 
-    def reset_one(self, env: Any, seed: int) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode of an environment; return its observation and info."""
-        asked = self.options.reset_options
-        return env.reset(seed=seed) if asked is None else env.reset(seed=seed, options=deepcopy(asked))
-
     def measured_bytes(self) -> int:
         """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
         gc.collect()  # what is freed meanwhile would be subtracted
         before = resident_memory()
-        env = self.make_one()
-        try:
-            with self.explained("reset"):
-                self.reset_one(env, 0)
+        with closing(self.make(1)) as task:
+            task.reset(np.array([0]), [0])
             return max(0, resident_memory() - before)
-        finally:
-            self.close_one(env)
-
-    def close_one(self, env: Any) -> None:
-        """Close an environment; an error of its own is logged, because nothing depends on it any more."""
-        try:
-            env.close()
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - of the user's code
-            _LOG.warning("%s cannot be closed: %s: %s", self.name, type(error).__name__, error)
 
     @contextmanager
     def explained(self, action: str) -> Iterator[None]:

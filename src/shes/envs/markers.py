@@ -19,7 +19,7 @@ ROBOT: Rgba = (0.93, 0.50, 0.16, 1.0)
 
 @dataclass(frozen=True)
 class Marker:
-    """A ball, an upright disc or a line, in metres times the scale of the world."""
+    """A ball, an upright disc or a line. Lengths are in units of the world's `scale`."""
 
     shape: Literal["ball", "disc", "line"]
     position: Point

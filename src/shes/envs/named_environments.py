@@ -38,8 +38,6 @@ class Environment(NamedTuple):
 
     has_own_physics = False
     """Whether the environment brings its own physics: it runs on the CPU only, and episodes cannot be branched."""
-    max_episode_steps = None
-    """Time limit of the environment in control steps, or None if the preset sets it."""
 
     def with_options(self, values: Mapping[str, Any]) -> Environment:
         """Return this environment with a body made from its options among `values`, if it has some."""
@@ -204,13 +202,6 @@ def _refuse_id(name: str) -> None:
     own = [(known, spec) for known, specs in SPECS_OF.items() for spec in specs if gymnasium_id(known, spec) == env_id]
     flags = f" --spec {own[0][1]}" if own and own[0][1] != "shes" else ""
     raise ConfigError(f"{name!r} is a Gymnasium id. Write {own[0][0] + flags if own else GYMNASIUM + env_id}.")
-
-
-def make_task(
-    name: str, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
-) -> Task:
-    """Return `num_episodes` episodes of environment `name` in `ENVIRONMENTS`, a body and a task."""
-    return ENVIRONMENTS.find(name).make(num_episodes, options, simulator)
 
 
 def list_environments(

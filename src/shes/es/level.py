@@ -68,11 +68,6 @@ class LevelParameters:
         """Return these with all parameters 0: the network's outputs are 0."""
         return replace(self, theta=np.zeros_like(self.theta))
 
-    @classmethod
-    def of_all(cls, levels: Sequence[LevelState]) -> tuple[LevelParameters, ...]:
-        """Return the parameters of each of `levels`."""
-        return tuple(cls.of(level.theta, level.statistics) for level in levels)
-
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateRule:

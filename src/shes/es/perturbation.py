@@ -89,11 +89,10 @@ def member_signs(
     Args:
         perturbation: One of `PERTURBATIONS`.
         mirrored: How the members of a group mirror its noise: one of `MIRRORINGS`.
-        population_size: Number of members, n = G * M; raise ConfigError unless they fill whole groups.
+        population_size: Number of members, n = G * M, which `check_population_size` allows.
         learns: Whether each level learns. A level that does not is never perturbed.
         generation: Number of updates so far.
     """
-    check_population_size(perturbation, mirrored, population_size, learns)
     parts = PERTURBATIONS.find(perturbation)(generation, np.flatnonzero(learns).tolist())
     rows = MIRRORINGS.find(mirrored)(len(parts[0]))
     signs = np.zeros((population_size // len(rows), len(rows), len(learns)), dtype=np.int8)

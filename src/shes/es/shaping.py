@@ -8,7 +8,6 @@ flags of `shes train`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +25,6 @@ class FitnessShaping(ABC):
         """Return the shaped fitness [n] of finite `fitness` [n]: a new array that sums to zero, all zeros for n = 1."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class CentredRanks(FitnessShaping):
     """Ranks from -0.5 (worst) to 0.5 (best); equal values share their mean rank.
 
@@ -40,7 +38,6 @@ class CentredRanks(FitnessShaping):
         return _centred(_mean_ranks(fitness) - 1)
 
 
-@dataclass(frozen=True, kw_only=True)
 class IndexedRanks(FitnessShaping):
     """Centred ranks with ties broken by index. A level whose members all tie is updated too: its parameters decay.
 
@@ -52,7 +49,6 @@ class IndexedRanks(FitnessShaping):
         return _centred(np.argsort(np.argsort(fitness, kind="stable")))
 
 
-@dataclass(frozen=True, kw_only=True)
 class PairRanks(FitnessShaping):
     """Signed ranks of the differences within mirrored pairs.
 

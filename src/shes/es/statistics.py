@@ -72,5 +72,5 @@ class Moments:
 
     def clear(self, rows: slice | IntArray) -> None:
         """Reset the sums of `rows`."""
-        for sums in (self.count, self.total, self.total_squares):
+        for sums in vars(self).values():
             sums[rows] = 0

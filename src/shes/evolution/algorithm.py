@@ -38,11 +38,6 @@ class GenerationReport:
     """Duration of fitness, gradients, optimizer and statistics in seconds."""
 
 
-def num_steps(populations: tuple[Population, ...]) -> int:
-    """Return the number of environment steps of all episodes."""
-    return sum(int(each.results.steps.sum()) for each in populations)
-
-
 def sources_of_fitness(populations: tuple[Population, ...]) -> tuple[tuple[Population, int], ...]:
     """Return for each level the last population that evaluates it, and the level's place there."""
     sources = {level: (each, i) for each in populations for i, level in enumerate(each.levels)}
@@ -74,15 +69,15 @@ def evolve(
         levels = zip(state.levels, settings.updates, settings.learns, sources, strict=True)
         for level, rule, learns, (source, i) in levels:  # each level has its own fitness
             results, signs, noise_index = source.results, source.signs[:, :, i], source.noise_index[i]
-            if learns:
-                level = replace(level, statistics=level.statistics.merge(**vars(results.statistics[i])))  # noqa: PLW2901
+            statistics = level.statistics.merge(**vars(results.statistics[i])) if learns else level.statistics
+            observed = replace(level, statistics=statistics)
             fitness = rule.shape(results.fitness[i], signs, results.has_fallen.mean(axis=1))
             # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
-            updates.append(update_level(level, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
+            updates.append(update_level(observed, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
         state = replace(
             state,
             generation=state.generation + 1,
-            env_steps=state.env_steps + num_steps(populations),
+            env_steps=state.env_steps + sum(int(each.results.steps.sum()) for each in populations),
             levels=tuple(update.level for update in updates),
             running=next_running(populations[0], settings.horizon) if settings.estimates[0] is draw_pairs else None,
         )

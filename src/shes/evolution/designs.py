@@ -17,7 +17,7 @@ from shes.agents.goal_agent import GoalDesign
 from shes.agents.goals import CONTROLLER_OUTPUTS, GOAL_ENCODINGS, SectorOutput
 from shes.agents.mlp import MLP
 from shes.agents.rewards import PRIMITIVE_REWARDS
-from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, SectorsView, View, ViewChoice, proprioception
+from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Clock, SectorsView, View, proprioception
 from shes.algorithms.contract import LevelTransfer, Problem
 from shes.envs.bodies.body import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
@@ -44,7 +44,10 @@ def goal_design(problem: Problem) -> GoalDesign:
     task, settings = problem.sample(), problem.settings
     hierarchy, clock = settings.hierarchy, _clock(settings, task)
     task.check_position()
-    encoding, view = make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values), _primitive_view(settings, task)
+    encoding, view = (
+        make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values),
+        _view(settings, task, "primitive_view"),
+    )
     inputs = encoding.size + (clock.size if clock else 0) + view.size(task.observation_size)
     design = GoalDesign(
         networks={"primitive": MLP(inputs, _primitive_layers(settings), task.action_size)},
@@ -63,14 +66,13 @@ def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
     """Return the design of the agents in branches under a controller, or None if there are no such branches."""
     if not (is_branched(settings) or explores(settings)) or not isinstance(design, GoalDesign) or is_alone(settings):
         return None
-    goals, networks = settings.estimate.intervals if is_branched(settings) else 1, dict(design.networks)
+    goals, networks = settings.estimate.intervals if is_branched(settings) else 1, {**design.networks}
     del networks["controller"]
     return replace(design, networks=networks, controller_view=None, controller_output=None, num_recorded_goals=goals)
 
 
 def _with_controller(design: GoalDesign, settings: Any, task: EpisodeBatch) -> GoalDesign:
-    """Return `design` with a controller above its primitive."""
-    hierarchy, hidden, view = settings.hierarchy, settings.networks.hidden, _controller_view(settings, task)
+    hierarchy, hidden, view = settings.hierarchy, settings.networks.hidden, _view(settings, task, "controller_view")
     output = make(CONTROLLER_OUTPUTS, hierarchy.controller_output, settings.values)
     if hierarchy.controller_network == "equivariant":
         assert isinstance(view, SectorsView), "check_together has seen to it"
@@ -113,29 +115,21 @@ def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
     return group
 
 
-def _view(settings: Any, task: EpisodeBatch, setting: str, choice: ViewChoice) -> View:
+def _view(settings: Any, task: EpisodeBatch, setting: str) -> View:
     """Return the view that `setting` chooses; raise ConfigError if the robot has none."""
+    name = settings.values[setting]
+    choice = {"controller_view": CONTROLLER_VIEWS, "primitive_view": PRIMITIVE_VIEWS}[setting].find(name)
+    if setting == "primitive_view" and name == "observation" and is_alone(settings):
+        choice = proprioception  # the task's own observation would tell it where the goal is
     view = choice(task)
     if isinstance(view, str):
-        env, name = settings.run.env, settings.values[setting]
+        env = settings.run.env
         whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
         raise ConfigError(f"{setting} is {name!r}, but {whose}, {view}. Set {flag(setting)} to another one.")
     return view
 
 
-def _controller_view(settings: Any, task: EpisodeBatch) -> View:
-    return _view(settings, task, "controller_view", CONTROLLER_VIEWS.find(settings.hierarchy.controller_view))
-
-
-def _primitive_view(settings: Any, task: EpisodeBatch) -> View:
-    choice = PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view)
-    if settings.hierarchy.primitive_view == "observation" and is_alone(settings):
-        choice = proprioception  # the task's own observation would tell it where the goal is
-    return _view(settings, task, "primitive_view", choice)
-
-
 class _PrimitiveTransfer(LevelTransfer):
-    name = "primitive"
     trained_by = "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception"
     advice = (
         "Name a primitive of the same robot, trained with the same --spec by shes train ant-flagrun or point-flagrun, "
@@ -156,7 +150,7 @@ class _PrimitiveTransfer(LevelTransfer):
         encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
         features = [f"goal {encoding} {i}" for i in range(make(GOAL_ENCODINGS, encoding, settings.values).size)]
         clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
-        inputs = [*features, *clock, *_primitive_view(settings, task).names(task.observation_names)]
+        inputs = [*features, *clock, *_view(settings, task, "primitive_view").names(task.observation_names)]
         kind = settings.hierarchy.symmetry
         symmetry = "" if kind == "none" else f" ({kind} symmetry)"
         return (
@@ -166,7 +160,6 @@ class _PrimitiveTransfer(LevelTransfer):
 
 
 class _ControllerTransfer(LevelTransfer):
-    name = "controller"
     trained_by = "shes train ant-gather, or another run of two levels"
     advice = "Name a controller of the same task, trained with the same --spec."
     suggested = ("controller_interval", "goal_distance", "minimum_goal_distance")
@@ -177,7 +170,7 @@ class _ControllerTransfer(LevelTransfer):
 
     def interface(self, problem: Problem) -> str:
         task, settings = problem.sample(), problem.settings
-        inputs = _controller_view(settings, task).names(task.observation_names)
+        inputs = _view(settings, task, "controller_view").names(task.observation_names)
         spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
         return f"{len(inputs)} inputs ({', '.join(inputs)}) of {spec}"
 

@@ -57,11 +57,11 @@ class EvolutionSettings(Settings):
     """Generations in which sigma and the learning rate reach their ends."""
     weight_decay: Annotated[float, Ge(0)] = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
-    mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
+    mirrored: Annotated[str, Choices(MIRRORINGS)] = "quad"
     """How the members of a group mirror its noise (section II-F)."""
-    fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
+    fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS)] = "centred_rank"
     """Fitness shaping."""
-    optimizer: Annotated[str, Choices(OPTIMIZERS, is_described=True)] = "adam"
+    optimizer: Annotated[str, Choices(OPTIMIZERS)] = "adam"
     """Optimizer."""
     # Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the
     # comparison within a group. In the authors' code every member draws its own seeds.
@@ -128,11 +128,6 @@ class Hyperparameters:
             return (draw_episodes,)
         return (draw_pairs,) if len(self.learns) == 1 else (draw_episodes, draw_pairs)
 
-    def signs(self, generation: int) -> Signs:
-        """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
-        own = self.evolution
-        return member_signs(self.perturbation, own.mirrored, own.population_size, self.by_episodes, generation)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
@@ -165,13 +160,14 @@ def draw_episodes(
     before: Sequence[Population] = (),  # noqa: ARG001 - the signature of an `Estimate`
 ) -> Draws:
     """Return the members that whole episodes evaluate in the generation that follows `state`."""
-    generation, levels, archive = state.generation, LevelParameters.of_all(state.levels), state.archive
-    signs = settings.signs(generation)
+    generation, archive, own = state.generation, state.archive, settings.evolution
+    levels = tuple(LevelParameters.of(level.theta, level.statistics) for level in state.levels)
+    signs = member_signs(settings.perturbation, own.mirrored, own.population_size, settings.by_episodes, generation)
     is_searching = archive is not None and not archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0
-    dims, members, own = [len(level.theta) for level in levels], signs.shape[1], settings.evolution
+    dims, members = [len(level.theta) for level in levels], signs.shape[1]
     noise_index = draw_noise_index(state.seed, generation, len(signs), dims, table_size)
     shared = Generation(
         levels=levels,
@@ -261,7 +257,7 @@ def draw_pairs(
         noise_index=noise_index,
         tasks=tasks,
         generation=Generation(
-            levels=LevelParameters.of_all((primitive,)),
+            levels=(LevelParameters.of(primitive.theta, primitive.statistics),),
             sigma=estimate.evolution.value("sigma", generation),
             episodes_per_policy=1,
             kind="branch",

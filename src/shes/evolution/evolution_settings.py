@@ -18,14 +18,7 @@ from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.algorithms.contract import Preset
 from shes.es.perturbation import PERTURBATIONS
 from shes.evolution.estimates import EvolutionSettings
-from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Needs, Settings, Shown
-
-
-def _registered(registry: Registry[Any], kind: str) -> Choices:
-    """Return the choices of `registry`, to which users can add their own."""
-    fix = f"Register your own first: shes.register_{kind}, or --import MODULE."
-    return Choices(registry, fix, is_described=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,11 +54,11 @@ class PrimitiveSettings(Settings):
     """Control steps for which a goal is held (c in Table I: 25)."""
     goal_distance: Annotated[float, Gt(0)] = 4.0
     """Goal distance in metres for a controller output of 1 (Table I: 4)."""
-    goal_encoding: Annotated[str, _registered(GOAL_ENCODINGS, "goal_encoding")] = "angle"
+    goal_encoding: Annotated[str, Choices(GOAL_ENCODINGS)] = "angle"
     """Goal features that the primitive observes (section II-C)."""
-    primitive_reward: Annotated[str, _registered(PRIMITIVE_REWARDS, "primitive_reward")] = "progress"
+    primitive_reward: Annotated[str, Choices(PRIMITIVE_REWARDS)] = "progress"
     """Intrinsic reward of the primitive (section II-B)."""
-    primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
+    primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS)] = "observation"
     """Values that the primitive observes in addition to its goal."""
     symmetry: Annotated[Literal["none", "rotation", "dihedral", "auto"], Needs("primitive_view", ("egocentric",))] = (
         "none"
@@ -79,14 +72,14 @@ class HierarchySettings(PrimitiveSettings):
 
     minimum_goal_distance: bool = True
     """Whether goals nearer than 1 m are moved outward."""
-    controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
+    controller_output: Annotated[str, Choices(CONTROLLER_OUTPUTS)] = "vector"
     """Meaning of the controller's outputs."""
     controller_network: Literal["mlp", "equivariant"] = "mlp"
     """Network of the controller: mlp, or equivariant (turned and mirrored sectors give turned and mirrored goals, and
     hidden counts the units per sector)."""
-    controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
+    controller_view: Annotated[str, Choices(CONTROLLER_VIEWS)] = "observation"
     """Values that the controller observes."""
-    perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"
+    perturbation: Annotated[str, Choices(PERTURBATIONS)] = "many_to_many"
     """Which levels a generation perturbs (section II-E)."""
     primitive_hidden: Annotated[tuple[int, ...], Ge(1), Example("64 64")] | None = None
     """Sizes of the primitive's hidden layers; none for those of the controller."""

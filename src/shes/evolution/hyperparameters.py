@@ -56,17 +56,6 @@ def population(settings: Any) -> tuple[int, int]:
     return settings.evolution.population_size + branches, settings.evolution.episodes_per_policy
 
 
-def steps_per_generation(settings: Any) -> int:
-    """Return the environment steps of a generation if no episode and no branch ends early."""
-    evolution = settings.evolution
-    episodes = evolution.population_size * evolution.episodes_per_policy * settings.episodes.horizon
-    if not is_branched(settings) or not learns(settings)[-1]:
-        return episodes
-    members = settings.values.get("primitive_population_size") or evolution.population_size
-    branches = members * settings.estimate.intervals * settings.hierarchy.controller_interval
-    return branches if is_alone(settings) else episodes + branches
-
-
 def make_hyperparameters(problem: Problem) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
     settings = problem.settings
@@ -96,7 +85,6 @@ def _interval_estimate(settings: Any) -> IntervalEstimate:
 
 
 def _way_search(problem: Problem) -> WaySearch:
-    """Return the search for a way to the target of evaluation."""
     settings, task = problem.settings, problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [0])
     state, interval = task.states(np.array([0])), settings.hierarchy.controller_interval
@@ -176,7 +164,6 @@ def _check_frames(settings: Any) -> None:
 
 
 def _check_branches(settings: Any) -> None:
-    """Check that the primitive's episodes can be branched."""
     if find_environment(settings.run.env).has_own_physics:
         raise ConfigError(
             f"primitive_estimate is 'interval', but the physics of {settings.run.env} is its own and cannot be "

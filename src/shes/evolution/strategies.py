@@ -25,6 +25,7 @@ from shes.evolution.state import TrainState, arrays_like, from_arrays, to_arrays
 from shes.rollout.episodes import PARTS
 from shes.rollout.worker import WorkerPlan
 from shes.settings import Settings
+from shes.sim.warp_device import WarpDevice
 from shes.streams import Purpose, stream
 
 _MAX_THREADS = 8  # of the gradient; with more, memory bandwidth is the limit
@@ -38,7 +39,6 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     check = staticmethod(hyperparameters.check_together)
     check_effects = staticmethod(hyperparameters.check_effects)
-    steps_per_generation = staticmethod(hyperparameters.steps_per_generation)
     population = staticmethod(hyperparameters.population)
     warnings = staticmethod(hyperparameters.warnings)
 
@@ -59,7 +59,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def run(self, state: TrainState, backend: Backend) -> Generator[Report[TrainState], None, None]:
         """Yield a report after every generation from `state` on, indefinitely."""
-        table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MAX_THREADS)
+        device, threads = self.problem.device, min(self.problem.num_threads, _MAX_THREADS)
+        table = self.table if device == "cpu" else self.table.on(WarpDevice(device).xp)
         with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
             for report in evolve(state, self.hyperparameters, table, backend, pool):
                 before, archive, state = state.archive, report.state.archive, report.state
@@ -79,7 +80,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the mean policies."""
-        return LevelParameters.of_all(state.levels)
+        return tuple(LevelParameters.of(level.theta, level.statistics) for level in state.levels)
 
     def explored(self, state: TrainState) -> Explored | None:
         """Return the places that the search for a way has reached, and the way; None without a search."""

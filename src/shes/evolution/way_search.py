@@ -66,7 +66,7 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
     if search is None or state.archive is None or state.archive.is_over:
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
-    mean = LevelParameters.of_all(state.levels[-1:])
+    mean = (LevelParameters.of(state.levels[-1].theta, state.levels[-1].statistics),)
     walk = {"kind": "exploration", "branch_steps": search.interval}
     generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, **walk)
     for _ in range(search.slices):

@@ -37,8 +37,7 @@ class SnapshotRecorder:
         self._batch, self._agent, self._num_goals = batch, agent, num_goals
         self._interval = agent.design.controller_interval
         rows = batch.num_episodes
-        self._wanted: IntArray = np.full(rows, -1)  # steps after which to record each row
-        self._recorded: IntArray = np.zeros(rows, dtype=np.int64)  # goals recorded so far
+        self._wanted: IntArray = np.zeros(rows, dtype=np.int64)  # steps after which to record each row
         self._goals: F64Array = np.zeros((rows, num_goals, 2))
         self._states: dict[int, F64Array] = {}
 
@@ -46,25 +45,24 @@ class SnapshotRecorder:
         """Store when to record the episodes of tasks that have `started`, by lane."""
         for lane, (_, task) in started.items():
             for slot, steps in zip(task.slots, task.snapshot_steps, strict=True):
-                row = lane * self._agent.rows_per_lane + slot
-                self._wanted[row], self._recorded[row] = steps, 0
+                self._wanted[lane * self._agent.rows_per_lane + slot] = steps
 
     def take(self, is_running: BoolArray, steps: IntArray) -> None:
         """Record the states and goals that are due, after the agents have decided and before the physics step.
 
         `steps` [N] are the control steps of each row so far.
         """
-        due = np.flatnonzero(is_running & (steps == self._wanted + self._recorded * self._interval))
-        due = due[self._recorded[due] < self._num_goals]
+        number, rest = np.divmod(steps - self._wanted, self._interval)
+        due = np.flatnonzero(is_running & (rest == 0) & (number >= 0) & (number < self._num_goals))
         if not len(due):
             return
-        first = due[self._recorded[due] == 0]
+        first = due[number[due] == 0]
         if len(first):
             self._states.update(zip(first.tolist(), self._batch.states(first), strict=True))
         ids, goal = self._batch.xp.asarray(due), self._agent.goal
         assert goal is not None, "only an agent with goals leaves snapshots"
-        self._goals[due, self._recorded[due]] = to_host(goal[ids] - self._batch.position[ids])
-        self._recorded[due] += 1
+        for row, vector in zip(due.tolist(), to_host(goal[ids] - self._batch.position[ids]), strict=True):
+            self._goals[row, number[row] :] = vector  # in place of later goals, too, until they are set
 
     def of(self, row: int) -> Snapshot | None:
         """Return the snapshot of the episode in `row`, which has ended; None if it ended before the snapshot was due.
@@ -73,10 +71,7 @@ class SnapshotRecorder:
         """
         if row not in self._states:
             return None
-        seen = int(self._recorded[row])
-        goals = self._goals[row].copy()
-        goals[seen:] = goals[seen - 1]
-        return Snapshot(state=self._states.pop(row), steps=int(self._wanted[row]), goals=goals)
+        return Snapshot(state=self._states.pop(row), steps=int(self._wanted[row]), goals=self._goals[row].copy())
 
 
 NumberedTask = tuple[int, EpisodeTask]
@@ -194,7 +189,6 @@ class Rollout:
             level.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
 
     def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
-        """Write the parameters of a task into lane `place`."""
         for level, (own, mean) in enumerate(zip(self.agent.levels, means, strict=True)):
             noise = table.slice(task.noise_index[level], len(mean))
             scales = [sigma * signs[level] for signs in task.signs]
@@ -243,7 +237,7 @@ class Rollout:
             results = lane.results
             results.outcomes[k] = outcomes[i]
             for policy, mine, summed in zip(self.design.policies, results.moments or (), moments, strict=False):
-                for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
+                for taken, of_all in zip(vars(mine).values(), summed, strict=True):
                     taken[k] = of_all[i]
                 policy.pool(mine.total[k], mine.total_squares[k])
             has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
@@ -286,11 +280,8 @@ class Rollout:
         outcomes["returns"] = outcomes["environment_returns"][:, None]
         if self.design.has_intrinsic_reward:
             outcomes["returns"][:, -1] = intrinsic_return[:, 0]
-        moments = [
-            tuple(to_host(sums[ids]) for sums in (own.moments.count, own.moments.total, own.moments.total_squares))
-            for own in agent.levels
-            if own.is_recording
-        ]
+        recorded = (vars(own.moments).values() for own in agent.levels if own.is_recording)
+        moments = [tuple(to_host(sums[ids]) for sums in each) for each in recorded]
         return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:

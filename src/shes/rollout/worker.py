@@ -174,7 +174,6 @@ class RolloutWorker:
         rollout.batch.check_buffers()
 
     def _rollout(self, generation: Generation) -> Rollout:
-        """Return the rollout for this generation. Create it if needed."""
         plan, kind = self.plan, generation.kind
         shape = self._lanes, generation.rows_per_lane, generation.members_per_lane
         if kind in self._rollouts and self._rollouts[kind].shape != shape:

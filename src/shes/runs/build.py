@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from shes.envs.named_environments import EnvironmentMaker, find_environment
 from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
-from shes.machine import free_memory, num_cores
+from shes.machine import free_memory
 from shes.rollout.episodes import empty_outcomes
 from shes.rollout.worker import RolloutWorker, WorkerPlan, lanes_that_fit
 from shes.runs.checkpoint import restore
@@ -30,8 +30,6 @@ from shes.sim.warp_device import is_out_of_memory
 
 EVALUATION_RESET_NOISE = 0.1
 """Reset noise of evaluation episodes, whatever that of training is; see `TaskOptions.reset_noise`."""
-_OF_DEVICES = ("nconmax", "njmax", "deterministic")
-"""Settings of devices other than the CPU."""
 _WORKER_BYTES = 45_000_000  # that a worker process shares with no other: 36 to 42 MB measured
 _ROW_BYTES = 10_000  # of a simulation, its task and its agent, without noise: up to 8.6 kB measured
 _TASK_BYTES = 400  # of a task in the parent process, per episode: 200 to 400 measured
@@ -70,8 +68,8 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
 
 def _simulator(config: TrainConfig) -> SimulatorFactory:
     """Return the function that creates simulators on the device of `config`."""
-    device, options = config.workers.device, {name: config.values[name] for name in _OF_DEVICES}
-    return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, **options)
+    options = {name: config.values[name] for name in ("device", "nconmax", "njmax", "deterministic")}
+    return CpuSimulator if config.workers.device == "cpu" else partial(WarpSimulator, **options)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,26 +102,6 @@ def build_backend(config: TrainConfig, plan: WorkerPlan, max_workers: int | None
     return cls(partial(RolloutWorker, plan), count, **own)
 
 
-def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Raise ConfigError if a setting in `asked` has no effect on the device of `config`.
-
-    Other settings of `config` may be left from another device, for a run that returns to it.
-    """
-    device = config.workers.device
-    for name in _OF_DEVICES:
-        if device == "cpu" and asked.get(name):
-            raise ConfigError(
-                f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers and always repeats its "
-                f"results. Set --device, or omit --{name}."
-            )
-    for name, usual in (("backend", ("serial",)), ("num_workers", (0, 1))):
-        if device != "cpu" and asked.get(name, usual[0]) not in usual:
-            raise ConfigError(
-                f"{name} is {asked[name]!r}, but one process serves device {device}. "
-                f"Omit {config.settings[name].flag}, or set --device cpu."
-            )
-
-
 def check_device(config: TrainConfig) -> None:
     """Check that the device of `config` exists and can simulate its world."""
     workers = config.workers
@@ -147,14 +125,9 @@ def most_episodes(config: TrainConfig, *, is_evaluation: bool = False) -> int:
 
 
 def check_limits(config: TrainConfig, design: AgentDesign, *, is_evaluation: bool = False) -> None:
-    """Raise ConfigError unless the arrays and processes of a run, or of an evaluation alone, fit this machine."""
+    """Raise ConfigError unless the arrays and processes of a run, or of an evaluation alone, fit the memory."""
     has_processes = config.workers.device == "cpu" and config.workers.backend == "processes"
-    workers, most = config.workers.count if has_processes else 0, max(64, 16 * num_cores())
-    if workers > most:
-        raise ConfigError(
-            f"num_workers is {workers:,}, but this machine has {num_cores()} cores: more than {most} worker "
-            f"processes are not started. Set --workers {most} or less; 0 is one for every core."
-        )
+    workers = config.workers.count if has_processes else 0
     need, free = _memory(config, design, workers, is_evaluation=is_evaluation), free_memory()
     if need > free:
         sizes = "--episodes" if is_evaluation else "--population-size, --evaluation-episodes, --horizon, --hidden"

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.backends.named_backends import BACKENDS
-from shes.envs.bodies.robot import read_robot, robot_stem
+from shes.envs.bodies.robot_file import read_robot, robot_stem
 from shes.envs.external_task import ExternalOptions
 from shes.envs.named_environments import ENVIRONMENTS, ROBOT_ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.task import TaskOptions
@@ -21,7 +21,7 @@ from shes.errors import ConfigError
 from shes.machine import num_cores
 from shes.options import with_options
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.settings import Choices, Execution, Ge, Gt, Setting, Settings, Shared, Shown
+from shes.settings import Choices, Execution, Ge, Gt, Needs, Setting, Settings, Shared, Shown
 from shes.sim.warp_device import DEVICES
 
 
@@ -31,11 +31,7 @@ class RunSettings(Settings):
 
     env: str
     """Environment name (see `shes envs`) or `gymnasium:ID`."""
-    algorithm: Annotated[
-        str,
-        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE.", is_described=True),
-        Shown(everyday=True),
-    ] = "shes"
+    algorithm: Annotated[str, Choices(ALGORITHMS), Shown(everyday=True)] = "shes"
     """Algorithm."""
     preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
     """Preset of the other settings."""
@@ -57,7 +53,7 @@ class RunSettings(Settings):
 class WorkerSettings(Settings):
     """Workers."""
 
-    backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
+    backend: Annotated[str, Choices(BACKENDS), Execution()] = "processes"
     """Engine that runs the episodes on the CPU."""
     num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
     """Worker processes; 0 is one for every core. Does not affect results."""
@@ -65,11 +61,11 @@ class WorkerSettings(Settings):
     """Policies that a worker or a device runs in lockstep; 0 is automatic. Does not affect results on the CPU."""
     device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
     """Device of the physics: cpu, cuda (an NVIDIA GPU; extra gpu) or warp-cpu (extra warp; for tests)."""
-    nconmax: Annotated[int, Ge(1), Execution()] | None = None
+    nconmax: Annotated[int, Ge(1), Execution(), Needs("device", DEVICES)] | None = None
     """Contact buffer of a device, per simulation on average; by default chosen for the environment's model."""
-    njmax: Annotated[int, Ge(1), Execution()] | None = None
+    njmax: Annotated[int, Ge(1), Execution(), Needs("device", DEVICES)] | None = None
     """Constraint buffer of a device, in rows per simulation; by default chosen for the environment's model."""
-    deterministic: Annotated[bool, Execution()] = False
+    deterministic: Annotated[bool, Execution(), Needs("device", DEVICES)] = False
     """Whether a device repeats its results bit by bit; slower. Those of the CPU always repeat."""
 
     @property
@@ -160,21 +156,19 @@ class TrainConfig:
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the settings as JSON types, by section."""
         sections = settings_by_section(self.run).items()
-        return {section: {name: self._as_json(name) for name in settings} for section, settings in sections}
+        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in self.values.items()}
+        return {section: {name: plain[name] for name in settings} for section, settings in sections}
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
-        found = {name: self._as_json(name) for name, each in self.settings.items() if not each.has(Execution)}
+        plain = {name: value for own in self.to_dict().values() for name, value in own.items()}
+        found = {name: plain[name] for name, each in self.settings.items() if not each.has(Execution)}
         if robot := found.get("robot"):  # its path is no number: a run folder has a copy of the file
             try:
                 found["robot"] = read_robot(robot).label
             except ConfigError:
                 found["robot"] = robot_stem(robot)
         return found
-
-    def _as_json(self, name: str) -> Any:
-        value = self.values[name]
-        return list(value) if isinstance(value, tuple) else value
 
     @property
     def algorithm(self) -> type[Algorithm[Any]]:

@@ -17,8 +17,9 @@ from shes.envs.tasks.task import FallOptions
 from shes.errors import ConfigError
 from shes.rollout.episodes import Decisions, EpisodeTask, Generation
 from shes.rollout.roll_out import PopulationResults, lower_diverged, roll_out_tasks
-from shes.runs.build import build_backend, check_asked_device, check_limits, most_episodes, open_run
+from shes.runs.build import build_backend, check_limits, most_episodes, open_run
 from shes.runs.folder import RunFolder
+from shes.runs.make_config import check_effects
 from shes.settings import Ge, checked
 from shes.streams import Purpose, stream
 from shes.types import F64Array, Listing, facts_listing
@@ -197,9 +198,9 @@ def evaluate(
             `constant`, the one with the best score of nine that always set the same goal. A score that these reach as
             well was not learned.
     """
-    execution: dict[str, Any] = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
-    execution |= {"deterministic": deterministic or None}
-    execution = {name: value for name, value in execution.items() if value is not None}
+    given = {"num_workers": num_workers, "device": device, "nconmax": nconmax, "njmax": njmax}
+    given["deterministic"] = deterministic or None
+    execution = {name: value for name, value in given.items() if value is not None}
     if device == "cpu" and RunFolder.open(run).read_config().workers.backend != "serial":
         execution["backend"] = "processes"  # the cluster that trained the run need not be there
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
@@ -209,7 +210,7 @@ def evaluate(
             f"controller is {controller!r}, but {run} has no controller (levels: {', '.join(levels)}), so that only "
             "'trained' is allowed. Omit --controller, or choose a run of two levels."
         )
-    check_asked_device(config, execution)
+    check_effects(config, execution)
     check_limits(config, algorithm.design, is_evaluation=True)
     plan = algorithm.plan()
     if targets == "training":

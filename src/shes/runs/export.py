@@ -102,7 +102,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         found["primitive"] = {
             "view": design.primitive_view.to_dict(),
             "goal_encoding": settings["goal_encoding"],
-            **_frames(design.symmetry or dihedral_group(1, own, own, is_mirrored=False)),
+            **_frames(design.symmetry or dihedral_group(1, own, None)),
         }
     if isinstance(design, GoalDesign) and design.controller_view is not None:
         network = design.networks["controller"]
@@ -142,7 +142,6 @@ def _pose(robot: Body, columns: list[int]) -> dict[str, Any] | None:
 
 
 def _frames(group: SymmetryGroup) -> dict[str, Any]:
-    """Return the frames of a symmetry group, one for each of its elements."""
     tables = dict(zip(("cosine", "sine", "mirror"), group.direction(), strict=True))
     tables |= {name: getattr(group, name) for name in ("view_index", "view_sign", "control_index", "control_sign")}
     if group.view_matrix is not None:
@@ -154,7 +153,6 @@ def _frames(group: SymmetryGroup) -> dict[str, Any]:
 
 
 def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
-    """Write one file with the description and the arrays of every network."""
     arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
     for name, (policy, level) in networks.items():
         arrays |= {f"{name}/mean": level.mean, f"{name}/inverse_std": level.inverse_std}

@@ -18,7 +18,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from shes.envs.bodies.robot import read_robot, robot_stem
+from shes.envs.bodies.robot_file import read_robot, robot_stem
 from shes.envs.named_environments import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import Checkpoint, load_checkpoint
@@ -90,10 +90,6 @@ class RunFolder:
             if len(below) == 1:
                 what, which = "no run folder, but there is one below it", ""
             raise RunFolderError(f"{path} is {what}: give {which}{below[0].path}.")
-        if folder._lock.exists() and not folder.progress.exists():
-            raise RunFolderError(
-                f"{path} holds a run that was stopped before it began. Begin it again by the same command."
-            )
         what = "is not a run folder: it has no config.json" if path.exists() else "does not exist"
         raise RunFolderError(
             f"{path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
@@ -150,7 +146,7 @@ class RunFolder:
         resumed = record.get("resumed", [])
         for part in [record, *resumed] if isinstance(resumed, list) else [None]:
             if not isinstance(part, dict) or not all(
-                isinstance(part.get(key, own()), own) for key, own in _KINDS.items()
+                isinstance(part.get(name, kind()), kind) for name, kind in _KINDS.items()
             ):
                 raise RunFolderError(
                     f"{self.config} is damaged: one of resumed, {', '.join(_KINDS)} is not what a run writes. Restore "
@@ -193,13 +189,6 @@ class RunFolder:
         record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
         self.write_record(record)
         return changes
-
-    def origin(self) -> dict[str, Any]:
-        """Return what the record of another run keeps of this one, from which it has a level."""
-        if shipped_name(self.path) is not None:  # its name says enough
-            return {}
-        record, levels = self.read_record(), self.read_config().algorithm.transfers
-        return {name: record[name] for name in ("config", *levels) if name in record}
 
     def checkpoint_path(self, name: str | int) -> Path:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
@@ -251,10 +240,9 @@ def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} is {there.get(name)!r}, not {wanted.get(name)!r}" for name in names[:3])
 
 
-def _natural(path: Path) -> list[tuple[float, str]]:
+def _natural(path: Path) -> list[float | str]:
     """Return a key that orders paths by their numbers: seed-2 before seed-10."""
-    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
-    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]
+    return [float(word) if index % 2 else word for index, word in enumerate(re.split(r"(\d+(?:\.\d+)?)", str(path)))]
 
 
 def provenance(device: str, packages: Iterable[str] = ()) -> dict[str, Any]:

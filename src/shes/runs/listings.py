@@ -145,7 +145,7 @@ def describe_run(run: Path | str, *, full: bool = False, card: bool = False) -> 
             **({"robot": config.numbers()["robot"]} if "robot" in config.values else {}),
             "levels": levels,
             "started": record.get("started"),
-            "command": " ".join(map(str, record.get("command", []))).replace("__main__.py ", "shes "),
+            "command": " ".join(map(str, record.get("command", []))),
         }
         shown = facts
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -16,16 +16,7 @@ from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, build_algorithm, open_run
 from shes.runs.config import TrainConfig
 from shes.settings import Ge, checked
-from shes.types import F32Array, F64Array, FloatArray
-
-
-class Statistics(NamedTuple):
-    """Moments by which a level's observations are normalised: `(observation - mean) / std`, clipped to ±5."""
-
-    mean: F64Array
-    """Mean [O]."""
-    std: F64Array
-    """Standard deviation [O]."""
+from shes.types import F64Array, FloatArray
 
 
 class Agent:
@@ -40,7 +31,7 @@ class Agent:
 
     def __repr__(self) -> str:
         """Return the environment, the levels with their numbers of parameters, and the number of environments."""
-        levels = ", ".join(f"{name} of {len(level.theta)} parameters" for name, level in self._levels.items())
+        levels = ", ".join(f"{name} of {len(level.theta)} parameters" for name, level in self.levels.items())
         return f"<Agent of {self.config.run.env}: {levels}; num_envs {self.num_envs}>"
 
     def _build(
@@ -50,7 +41,8 @@ class Agent:
         task = algorithm.problem.make_task(is_evaluation=True)
         self._reader, self.observation_size, self._scale = task.reader, task.observation_size, task.scale
         task.close()
-        self._levels = dict(zip(algorithm.design.networks, levels, strict=True))
+        self.levels = dict(zip(algorithm.design.networks, levels, strict=True))
+        """Parameters and observation statistics of each level, by its name. They are not to be changed."""
         # One policy per environment, so that each has a clock and can be reset separately.
         self._agent = algorithm.design.agent(algorithm.design, num_envs, 1)
         self._agent.centre_on(levels)
@@ -63,7 +55,7 @@ class Agent:
         return {
             "config": self.config.to_dict(),
             "num_envs": self.num_envs,
-            "levels": tuple(self._levels.values()),
+            "levels": tuple(self.levels.values()),
             "episodes": [{name: array.copy() for name, array in part.items()} for part in self._episodes()],
         }
 
@@ -79,18 +71,6 @@ class Agent:
         batch = vars(self._agent)
         parts = [batch, *(vars(part) for part in batch.values() if isinstance(part, Frames))]
         return [{name: each for name, each in part.items() if isinstance(each, np.ndarray)} for part in parts]
-
-    @property
-    def parameters(self) -> dict[str, F32Array]:
-        """A copy of the policy's parameters [D] of each level, by its name."""
-        return {name: level.theta.copy() for name, level in self._levels.items()}
-
-    @property
-    def statistics(self) -> dict[str, Statistics]:
-        """Mean and standard deviation of the observations of each level, by its name."""
-        return {
-            name: Statistics(mean=level.mean.copy(), std=1 / level.inverse_std) for name, level in self._levels.items()
-        }
 
     @property
     def goal(self) -> F64Array | None:

@@ -7,23 +7,24 @@ Source: SHES paper, II-D.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
-from shes.envs.bodies.robot import RobotOptions, read_robot
+from shes.envs.bodies.robot import RobotOptions
+from shes.envs.bodies.robot_file import read_robot
 from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
-from shes.runs.build import OpenedRun, check_asked_device, open_run
+from shes.runs.build import OpenedRun, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.folder import RunFolder
 from shes.runs.named_algorithms import ALGORITHMS, PRESET_NAMES, algorithm_classes
-from shes.runs.shipped import run_text
-from shes.settings import flag, setting_fields
+from shes.runs.shipped import find_run, shipped_name
+from shes.settings import Needs, flag, setting_fields
 
 
 def make_config(env: str | None, preset: str | None = None, overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -52,9 +53,7 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
     elif asked.get("robot") is not None and env in BUILTIN_ENVIRONMENTS:
         task = env.partition("-")[2]
         raise ConfigError(f"{env} has its own robot, got robot {asked['robot']!r}. Name the task: {task} --robot …")
-    asked |= {name: run_text(asked[name]) for name in transferred_levels() if isinstance(asked.get(name), Path)}
-    if isinstance(asked.get("robot"), Path):
-        asked["robot"] = str(asked["robot"])
+    asked = {name: os.fspath(value) if isinstance(value, os.PathLike) else value for name, value in asked.items()}
     values = {"env": env, "preset": preset, **preset_values(env, preset, {**own, **asked}), **own, **asked}
     known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
@@ -63,15 +62,14 @@ def make_config(env: str | None, preset: str | None = None, overrides: Mapping[s
         if values.get(level) is not None:
             values |= brought_settings(level, values, asked if level in asked else {**kept, **asked})
     config = TrainConfig.of(**values)
-    check_asked_device(config, asked)
-    _check_effects(config, asked)
+    check_effects(config, asked)
     return config
 
 
 def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings `old` of run `like`, but its seed, that are not those of its preset.
 
-    Raise ConfigError if a run of `env` with the algorithm in `asked`, if any, has no such setting.
+    Raise ShesError if a run of `env` has no such setting, or if the run from which `like` took a level is gone.
     """
     run = old.run
     usual = TrainConfig.of(env=run.env, preset=run.preset, **preset_values(run.env, run.preset, old.values)).values
@@ -83,6 +81,14 @@ def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any
             f"{name} is {own[name]!r} in {like}, but it is not a setting of a run of {env} with algorithm "
             f"{algorithm!r}. Omit --like, and give the settings that you want to keep."
         )
+    for level in old.algorithm.transfers:
+        if level in asked:  # another one, with a checkpoint of its own
+            own.pop(f"{level}_checkpoint", None)
+        elif level in own and not RunFolder(find_run(own[level])).config.is_file():
+            raise RunFolderError(
+                f"{like} took its {level} from {own[level]}, which is not here. Name another one, such as "
+                f"{flag(level)} {like}, or set {flag(level)} none to begin without."
+            )
     return {**own, "algorithm": run.algorithm}
 
 
@@ -111,9 +117,18 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
     return {name: value for name, value in values.items() if name in settings}
 
 
-def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Raise ConfigError if a setting in `asked` has no effect with the others."""
+def check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Raise ConfigError if a setting in `asked` has no effect with the others.
+
+    Settings that were not asked for may be left from another device, for a run that returns to it.
+    """
     settings, has_own_physics = config.settings, find_environment(config.run.env).has_own_physics
+    for name, usual in (("backend", ("serial",)), ("num_workers", (0, 1))):
+        if config.workers.device != "cpu" and asked.get(name, usual[0]) not in usual:
+            raise ConfigError(
+                f"{name} is {asked[name]!r}, but one process serves device {config.workers.device}. "
+                f"Omit {settings[name].flag}, or set --device cpu."
+            )
     for name in asked:
         setting = settings[name]
         if name in setting_fields(TaskOptions) and has_own_physics:
@@ -121,7 +136,7 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."
             )
-        needed = [(need, config.values[need.other]) for need in setting.needs]
+        needed = [(need, config.values[need.other]) for need in setting.all_of(Needs)]
         if not needed or any(value in need.values if need.values else value is not None for need, value in needed):
             continue
         first, found = needed[0][0], ", ".join(f"{need.other} {value!r}" for need, value in needed)
@@ -143,16 +158,10 @@ def _read(level: str, own: LevelTransfer, values: Mapping[str, Any]) -> OpenedRu
     except RunFolderError as error:
         raise RunFolderError(f"{flag(level)} {path}: {error}") from error
     source = opened.algorithm
-    if level not in source.level_names:
+    if level not in source.level_names or source.transfers.get(level) is not own:
         raise ConfigError(
-            f"{path} has no {level}: its levels are {', '.join(source.level_names)}. Name a run with "
-            f"--{level} that trained one: {own.trained_by}."
-        )
-    if source.transfers.get(level) is not own:
-        names = sorted(name for name, cls in ALGORITHMS.items() if cls.transfers.get(level) is own)
-        raise ConfigError(
-            f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that "
-            f"{' or '.join(names)} trained can be transferred. Name another run with --{level}."
+            f"{path} has no {level} that can be transferred: it was trained by {opened.config.run.algorithm}, and its "
+            f"levels are {', '.join(source.level_names)}. Name a run with --{level} that trained one: {own.trained_by}."
         )
     return opened
 
@@ -213,12 +222,13 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
                 f"Here there is: {ours}.\n"
                 f"{own.advice}"
             )
-        state = own.move(source.state, state)
+        state = own.move(level, source.state, state)
+        record = source.folder.read_record() if shipped_name(source.folder.path) is None else {}  # its name says enough
         origins[level] = {
             "run": path,
             "env": source.config.run.env,
             "checkpoint": config.values.get(f"{level}_checkpoint", "best"),
             "generation": source.state.generation,
-            **source.folder.origin(),
+            **{name: record[name] for name in ("config", *source.algorithm.transfers) if name in record},
         }
     return state, origins

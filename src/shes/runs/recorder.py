@@ -24,11 +24,13 @@ from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.evaluate import evaluate_state, evaluation_seeds, logger
 from shes.runs.folder import RunFolder
-from shes.runs.tables import CsvTable, Row, last_value
+from shes.runs.tables import CsvTable, Events, Row, last_value
 from shes.storage import storage_errors
 
 _MOST_DIVERGED = 10
 """Generations in a row in which every episode diverges, after which a run ends."""
+_CLOCKS = {"wall_time_s": perf_counter, "process_time_s": process_time}
+"""Columns of times; the processor time is that of this process, without its workers."""
 
 
 class StopTraining(Exception):  # noqa: N818 - a request, as StopIteration is
@@ -119,8 +121,6 @@ class Recorder:
         self, folder: RunFolder, algorithm: Algorithm[Any], checkpoint: Checkpoint, listeners: list[ListenerMethods]
     ) -> None:
         """Open the tables and remove the rows after `checkpoint`; raise RunFolderError if a table is damaged."""
-        from shes.runs.tensorboard import Events  # only training needs it, and it is slow to import
-
         self.folder, self.algorithm, self.checkpoint = folder, algorithm, checkpoint
         self._config: TrainConfig = algorithm.problem.settings
         self._listeners, self._is_stopped = listeners, False
@@ -131,14 +131,12 @@ class Recorder:
         }
         self._events = Events(folder.tensorboard, checkpoint.generation, self._config.numbers())
         self.close = self._events.close
-        self._earlier_s = last_value(folder.progress, "wall_time_s")
-        self._earlier_process_s = last_value(folder.progress, "process_time_s")
 
     def begin(self, backend: Backend, changes: Iterable[str]) -> None:
         """Start the clock, and tell of the run, of `changes` since it began, and of warnings about its settings."""
         self._backend = backend
         self._start = self._generation_start = perf_counter()
-        self._process_start = process_time()
+        self._starts = {name: clock() - last_value(self.folder.progress, name) for name, clock in _CLOCKS.items()}
         backend.on_event = self._tell_event
         self._tell("on_start", self.folder.path, self._config, self.checkpoint.generation, backend.num_workers)
         if changes:
@@ -159,7 +157,7 @@ class Recorder:
         made = state.env_steps - self.checkpoint.env_steps
         row: Row = {
             **reached,
-            "wall_time_s": self._wall_time(),
+            **self._time("wall_time_s"),
             "env_steps_per_s": round(made / (now - self._generation_start), 1),
             **report.columns,
             "evaluation_s": 0.0,
@@ -169,8 +167,8 @@ class Recorder:
             seeds = evaluation_seeds(state.seed, state.generation, settings.evaluation_episodes)
             found = evaluate_state(self.algorithm, state, seeds, self._backend).summary()
             row["evaluation_s"] = round(perf_counter() - now, 4)
-            evaluated = {**reached, "wall_time_s": self._wall_time(), **found, "process_time_s": self._process_time()}
-        row["process_time_s"] = self._process_time()
+            evaluated = {**reached, **self._time("wall_time_s"), **found, **self._time("process_time_s")}
+        row |= self._time("process_time_s")
         self._generation_start = perf_counter()
         return row, evaluated
 
@@ -217,13 +215,8 @@ class Recorder:
         save_checkpoint(self.folder.checkpoint_path("last"), checkpoint)
         self.checkpoint = checkpoint
 
-    def _wall_time(self) -> float:
-        """Return the wall-clock time of the run so far, in seconds."""
-        return round(self._earlier_s + perf_counter() - self._start, 3)
-
-    def _process_time(self) -> float:
-        """Return the processor time of this process for the run so far, in seconds; without that of its workers."""
-        return round(self._earlier_process_s + process_time() - self._process_start, 3)
+    def _time(self, column: str) -> Row:  # of the run so far, in seconds
+        return {column: round(_CLOCKS[column]() - self._starts[column], 3)}
 
     def _tell_event(self, event: str) -> None:
         logger.warning(event)

@@ -12,6 +12,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,9 +69,9 @@ def _value(setting: Setting, text: str) -> Any:
         return None
     reads = {int: int, float: float, bool: {"true": True, "false": False}.__getitem__}
     read = reads.get(setting.item, str)
-    is_tuple, is_empty = setting.kind is tuple, text == "none"
+    words = [] if text == "none" else text.split("x")
     try:
-        value = tuple(read(word) for word in text.split("x") if not is_empty) if is_tuple else read(text)
+        value = tuple(map(read, words)) if setting.kind is tuple else read(text)
     except (KeyError, ValueError) as error:
         raise out_of_range(setting.name, text, setting.allowed, f"--sweep {setting.name}=...") from error
     return setting.checked(value)
@@ -92,9 +93,7 @@ def vary(
         raise ConfigError(f"{min(twice)} is both given and swept. Omit one.")
     if not seeds:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
-    for seed in seeds:
-        if seeds.count(seed) > 1:
-            raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")
+    seeds = list(dict.fromkeys(seeds))
     count = len(seeds) * math.prod(map(len, sweep.values()))
     if count > _MOST_RUNS:
         raise ConfigError(f"these are {count:,} runs; at most {_MOST_RUNS:,} are allowed. Sweep fewer values.")
@@ -116,37 +115,35 @@ def vary(
     return found
 
 
+@dataclass(frozen=True)
 class RunsFolder:
-    """A folder of runs, by their places in it."""
+    """A folder of runs; use `create` or `open`."""
 
-    def __init__(self, path: Path, configs: Mapping[str, TrainConfig]) -> None:
-        """Use `create` or `open`."""
-        self.path = path
-        self.configs = dict(configs)
+    path: Path
+    configs: dict[str, TrainConfig]
+    """The settings of each run by its place in the folder."""
 
     @property
     def left(self) -> list[str]:
         """The runs that have not ended, in order."""
-        return [name for name in self.configs if not self._end(name)]
+        return [name for name in self.configs if self._end(name) is None]
 
-    def _end(self, name: str) -> str:
-        """Return the flag of the limit that a run has reached; empty if it has not ended."""
+    def _end(self, name: str) -> str | None:
+        """Return the limit that a run has reached, as a flag that lets it go on; None if it has not ended."""
         folder, run = RunFolder(self.path / name), self.configs[name].run
         try:
             last = folder.load("last", with_state=False)
             if run.is_over(last.generation, last.env_steps):
-                return "--generations"
-            return "--minutes" if run.minutes is not None and trained_minutes(folder) >= run.minutes else ""
+                return f"--generations {2 * run.generations}"
+            return f"--minutes {run.minutes:g}" if run.minutes and trained_minutes(folder) >= run.minutes else None
         except ShesError:  # it has not begun, or is damaged, which shows when it goes on
-            return ""
+            return None
 
     @property
     def how_to_go_on(self) -> str:
-        """The command that goes on with runs of which all have ended."""
-        found = f"shes resume {shlex.quote(str(self.path))}"
-        if late := [name for name in self.configs if self._end(name) == "--minutes"]:
-            return f"{found} --minutes {self.configs[late[0]].run.minutes:g}"
-        return f"{found} --generations {2 * max(config.run.generations for config in self.configs.values())}"
+        """The command that goes on with runs that have ended, those out of time if there are any."""
+        end = max(filter(None, map(self._end, self.configs)), default="")
+        return f"shes resume {shlex.quote(str(self.path))} {end}"
 
     @staticmethod
     def is_at(path: Path | str) -> bool:
@@ -219,8 +216,8 @@ class RunsFolder:
             f"Done: {len(names)} runs, one in each folder below {found}.",
             f"Next: shes plot {found} · shes list {found} · shes evaluate {shlex.quote(str(self.path / names[0]))}",
         ]
-        if late := [name for name in names if self._end(name) == "--minutes"]:
-            parts.insert(1, f"{len(late)} of them stopped with their time. Go on: {self.how_to_go_on}")
+        if "--minutes" in (command := self.how_to_go_on):
+            parts.insert(1, f"Some of them stopped with their time. Go on: {command}")
         return Listing({"runs": names, "errors": errors}, parts, errors)
 
 

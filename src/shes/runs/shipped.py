@@ -107,31 +107,21 @@ def read_agent(name: str) -> ShippedAgent:
 def find_run(run: Path | str) -> Path:
     """Return the folder of `run`: the path itself, or that of the shipped agent of this name.
 
-    Only a string can be a name. An existing path takes precedence over a name; `./name` and a `pathlib.Path` are
-    always paths.
+    An existing path takes precedence over a name; `./name` is always a path.
     """
     if not isinstance(run, str | os.PathLike) or not os.fspath(run):
         raise ConfigError(f"a run must be the path of its folder, or the name of a shipped agent, got {run!r}.")
-    is_name = isinstance(run, str) and run in shipped_names() and not os.path.lexists(run)
-    return AGENTS / run if is_name else Path(run)
-
-
-def run_text(run: Path | str) -> str:
-    """Return `run` as a string with the same meaning.
-
-    A `Path` without a separator gets the prefix `./`, so that it is not taken for an agent's name.
-    """
+    if not isinstance(run, str | os.PathLike):
+        raise ConfigError(f"a run must be the path of its folder or the name of a shipped agent, got {run!r}.")
     given = os.fspath(run)
-    return given if isinstance(run, str) or os.sep in given else f".{os.sep}{given}"
+    return AGENTS / given if given in shipped_names() and not os.path.lexists(given) else Path(given)
 
 
 def shipped_hint(run: Path | str) -> str:
     """Return a hint at shipped agents for the error that `run` is not a run folder; empty without agents."""
     given, names = os.fspath(run), shipped_names()
     if given in names:
-        if os.path.lexists(given):
-            return f" It hides the shipped agent {given}: rename it, or work in another folder, to use that one."
-        return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."
+        return f" It hides the shipped agent {given}: rename it, or work in another folder, to use that one."
     if not names or os.sep in given:
         return ""
     return f" Or name a shipped agent: {', '.join(nearest_first(given, names))}."

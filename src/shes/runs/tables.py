@@ -1,12 +1,14 @@
-"""The tables of a run: CSV files with a row per generation or evaluation."""
+"""The tables of a run, CSV files with a row per generation or evaluation, and a dozen TensorBoard charts of them."""
 
 from __future__ import annotations
 
 import csv
 import io
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
+from time import time
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,18 @@ from shes.storage import storage_errors, write_atomically
 from shes.types import F64Array
 
 Row = dict[str, Any]
+_CHARTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "evaluation": {"evaluation": ("score_mean", "return_mean", "success_rate")},
+    "progress": {
+        "training": ("score_mean", "*_return_mean"),
+        "update": ("*_update_ratio", "*_halves_cosine"),
+        "episodes": ("episode_steps_mean",),
+        "speed": ("env_steps_per_s",),
+    },
+}
+"""Columns with a chart, by table and group; `*` is any level. `docs/how-to/track.md` lists them."""
+_COMPARED = ("evaluation/score_mean", "evaluation/return_mean")
+"""Charts in the tab of the hyperparameters."""
 
 
 def read_csv(path: Path) -> dict[str, F64Array]:
@@ -100,3 +114,50 @@ class CsvTable:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
+
+
+class Events:
+    """The event file of a run, written in this thread.
+
+    The thread of tensorboardX's `SummaryWriter` dies when the disk is full, and then blocks the run for ever.
+    """
+
+    def __init__(self, folder: Path, generation: int, hyperparameters: Mapping[str, Any]) -> None:
+        """Open a file that supersedes the events of earlier files after `generation`.
+
+        The hyperparameters are written at generation 0 alone.
+        """
+        from tensorboardX.event_file_writer import EventsWriter  # slow to import
+        from tensorboardX.proto.event_pb2 import Event, SessionLog  # type: ignore[attr-defined] - made when imported
+        from tensorboardX.summary import hparams, scalar
+
+        self._folder, self._event, self._scalar = folder, Event, scalar
+        with storage_errors(folder):
+            folder.mkdir(exist_ok=True)
+            # The name contains the second; two parts of a run that begin in the same second need different files.
+            self._writer = EventsWriter(str(folder / "events"), f".{os.getpid()}.{generation}")
+            if generation:
+                start = SessionLog(status=SessionLog.START)
+                self._writer.write_event(Event(wall_time=time(), step=generation + 1, session_log=start))
+                return
+            plain = {
+                name: it if isinstance(it, bool | int | float) else str(it) for name, it in hyperparameters.items()
+            }
+            for summary in hparams(plain, dict.fromkeys(_COMPARED))[:2]:  # the third says that the run has ended
+                self._writer.write_event(Event(wall_time=time(), summary=summary))
+
+    def add(self, table: str, row: Mapping[str, Any]) -> None:
+        """Write the charts of a row of `table`, without values that are not finite."""
+        with storage_errors(self._folder):
+            for group, patterns in _CHARTS[table].items():
+                for name in row:
+                    if any(fnmatchcase(name, pattern) for pattern in patterns) and np.isfinite(row[name]):
+                        summary = self._scalar(f"{group}/{name}", row[name])
+                        event = self._event(wall_time=time(), step=row["generation"], summary=summary)
+                        self._writer.write_event(event)
+            self._writer.flush()  # before the checkpoint marks this generation as done
+
+    def close(self) -> None:
+        """Close the file."""
+        with storage_errors(self._folder):
+            self._writer.close()

@@ -11,24 +11,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
-from shes.runs.build import (
-    build_algorithm,
-    build_backend,
-    check_asked_device,
-    check_device,
-    check_limits,
-    most_episodes,
-)
+from shes.runs.build import build_algorithm, build_backend, check_device, check_limits, most_episodes
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig, known_settings, resumable_settings
 from shes.runs.evaluate import logger
 from shes.runs.folder import RunFolder, checked_out, differing, new_folder
-from shes.runs.make_config import make_config, transfer
+from shes.runs.make_config import check_effects, make_config, transfer
 from shes.runs.progress_display import with_display
 from shes.runs.recorder import AnyListener, Recorder, listener_methods, run_log
 from shes.runs.tables import read_csv, trained_minutes
@@ -100,7 +91,7 @@ def train(
             `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by
             returning True or raising `shes.StopTraining`.
         progress: Whether to show the progress; only in a terminal or a notebook if None.
-        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
+        settings: Any setting by name, e.g. `seed=0, num_workers=4`. Several seeds take a call each.
 
     Raises:
         ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
@@ -110,11 +101,6 @@ def train(
         PolicyError: A policy returned NaN.
         DivergenceError: Every episode of ten generations in a row diverged.
     """
-    if isinstance(settings.get("seed"), list | tuple | range | np.ndarray):
-        raise ConfigError(
-            f"seed must be one number, got {settings['seed']!r}: a call trains one run. Call shes.train for each seed, "
-            "or use the command line: shes train ENV --seed 1 2 3"
-        )
     with with_display(listener, progress) as heard:
         return start_run(make_config(env, preset, {**settings, "like": like}), out, heard)
 
@@ -150,30 +136,25 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         progress: Whether to show the progress; only in a terminal or a notebook if None.
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
     """
-    with with_display(listener, progress) as heard:
-        return _resume_run(path, heard, settings)
-
-
-def _resume_run(path: Path | str, listener: AnyListener, settings: dict[str, Any]) -> Run:
-    listeners, folder = listener_methods(listener), RunFolder.open(path)
+    folder = RunFolder.open(path)
     check_resumable(settings)
     config = folder.read_config().having(**{"minutes": None, **settings})
-    check_asked_device(config, settings)
+    check_effects(config, settings)
     check_device(config)
-    with folder.lock(), resumable(folder.path):
+    with folder.lock(), resumable(folder.path), with_display(listener, progress) as heard:
         algorithm = build_algorithm(config)
         check_limits(config, algorithm.design)
         checkpoint = folder.load("last")
         _check_unfinished(path, config, checkpoint)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
-        with closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder, _started(algorithm) as workers:
+        recording = closing(Recorder(folder, algorithm, checkpoint, listener_methods(heard)))
+        with recording as recorder, _started(algorithm) as workers:
             changes = folder.record_resume(checkpoint.generation, config)
             return _go_on(recorder, state, workers, changes)
 
 
 def _check_unfinished(path: Path | str, config: TrainConfig, checkpoint: Checkpoint) -> None:
-    """Raise ConfigError if the run is over."""
     done, steps, run = checkpoint.generation, checkpoint.env_steps, config.run
     if not run.is_over(done, steps):
         return
@@ -208,7 +189,7 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
         return _run(folder, stored, last)
     now = {name: config.values[name] for name in resumable_settings()}
     changed = {name: value for name, value in now.items() if value != stored.values[name]}
-    return _resume_run(path, listener, {**changed, "minutes": left})
+    return resume(path, listener=listener, progress=False, **{**changed, "minutes": left})
 
 
 def check_resumable(names: Iterable[str]) -> None:

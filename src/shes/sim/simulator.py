@@ -18,8 +18,8 @@ from shes.types import BoolArray, F64Array, IntArray, to_host
 logger = logging.getLogger("shes.mujoco")
 logger.addHandler(logging.NullHandler())  # without it Python prints to stderr if logging is not configured
 
-_DIVERGENCE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
-"""Numbers of the warnings after which MuJoCo resets a simulation within a step."""
+DIVERGENCE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+"""Numbers of the warnings after which MuJoCo resets a simulation within a step, in `MjData.warning.number`."""
 
 
 class Simulator(ABC):
@@ -85,16 +85,6 @@ def log_physics_warnings() -> None:
         mujoco.set_mju_user_warning(logger.warning)
 
 
-def count_divergences(data: mujoco.MjData) -> int:
-    """Return how often a simulation has diverged since its warning counters were reset."""
-    return int(data.warning.number[_DIVERGENCE].sum())
-
-
-def forget_divergences(data: mujoco.MjData) -> None:
-    """Reset the counters that `count_divergences` reads, as `mj_resetData` does."""
-    data.warning.number[_DIVERGENCE] = 0
-
-
 class CpuSimulator(Simulator):
     """N simulations, stepped by one or several threads, bit-identical to a loop over `mj_step`."""
 
@@ -111,7 +101,7 @@ class CpuSimulator(Simulator):
         warmstart, time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
         others = (self._batch.bind(name).reshape(num_sims, -1) for name in ("act", "history", "plastic"))
         self.state_parts = (self.qpos, self.qvel, warmstart, time.reshape(num_sims, 1), *filter(np.size, others))
-        self._counters = self._batch.warning[:, _DIVERGENCE, 1]  # [N, kinds]
+        self._counters = self._batch.warning[:, DIVERGENCE, 1]  # [N, kinds]
         self.diverged = np.zeros(num_sims, dtype=np.bool_)
 
     def reset(self, ids: IntArray) -> None:

@@ -190,7 +190,6 @@ class WarpSimulator(Simulator):
         return capture.graph
 
     def _launch(self, nstep: int) -> None:
-        """Launch or record a control step of `nstep` substeps."""
         kernels, arrays = self._kernels, [self._arrays]
         self._launch_kernel(kernels.begin_control_step, arrays)
         for _ in range(nstep):

@@ -52,7 +52,6 @@ def _is_bad(values: wp.array2d[wp.float32], sim: wp.int32) -> wp.bool:
 
 @wp.func
 def _set_default(sim: wp.int32, state: Arrays) -> None:
-    """Reset a simulation to the model's default state."""
     for i in range(state.qpos.shape[1]):
         state.qpos[sim, i] = state.default_qpos[i]
     for i in range(state.qvel.shape[1]):

@@ -20,8 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from shes.errors import ConfigError, RunFolderError
 from shes.settings import checked
 from shes.storage import write_atomically
-from shes.viewing.curves import X_AXES, MeanCurve, Table, column_curve
-from shes.viewing.groups import Group, RunData, group_runs, read_runs
+from shes.viewing.curves import X_AXES, Group, MeanCurve, RunData, Table, column_curve, group_runs, read_runs
 
 _PANEL_INCHES = (5.0, 3.8)
 _TICKS = 5  # more would overlap where the numbers have many digits

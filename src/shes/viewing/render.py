@@ -5,7 +5,6 @@ The frames have captions. The ffmpeg of imageio-ffmpeg encodes .mp4 and .gif.
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -22,8 +21,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from shes.drawing.make_drawer import Drawer, make_drawer
-from shes.drawing.renderer import Picture
+from shes.drawing.renderer import Picture, between
 from shes.errors import ConfigError, StorageError
+from shes.runs.shipped import find_run
 from shes.settings import Ge, Le, Lt, checked, out_of_range
 from shes.storage import write_atomically
 from shes.viewing.playback import Playback
@@ -114,7 +114,7 @@ def _shown(
     runs: Path | str | Sequence[Path | str], checkpoints: str | Sequence[str]
 ) -> list[tuple[Path | str, str, str]]:
     """Return run, checkpoint and label of each column of the video; raise ConfigError if their numbers do not fit."""
-    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    given = list(runs) if isinstance(runs, Iterable) and not isinstance(runs, str) else [runs]
     names = [checkpoints] if isinstance(checkpoints, str) else list(map(str, checkpoints))
     if not given or not names:
         raise ConfigError("render needs at least one run and one checkpoint: shes render RUN... --checkpoint best")
@@ -124,7 +124,7 @@ def _shown(
             f"{len(given)} runs need one checkpoint for all or one for each, got {len(names)}: {', '.join(names)}. "
             "Set --checkpoint."
         )
-    labels = [Path(run).name for run in given] if len(given) > 1 else [""]
+    labels = [find_run(run).name for run in given] if len(given) > 1 else [""]
     if len(set(labels)) < len(set(map(str, given))):  # different runs whose folders have the same name
         labels = list(map(str, given))
     return [(given[i % len(given)], names[i % len(names)], labels[i % len(labels)]) for i in range(count)]
@@ -150,7 +150,7 @@ def _frames(
         frames = round((number + 1) * frames_per_step) - round(number * frames_per_step)
         frames = max(frames, int(step.is_last))
         for frame in range(1, frames + 1):
-            pose = drawer.between(start, step.pose, frame / frames)
+            pose = between(drawer.model, start, step.pose, frame / frames)
             views = [drawer.draw(pose, step.markers, camera) for camera in cameras]
             shown = [captioned(views[0], [step.facts, step.inputs]), *views[1:]]
             yield from repeat(shown, _HELD_FRAMES if step.is_last and frame == frames else 1)

@@ -28,17 +28,9 @@ from shes.runs.shipped import read_agent, shipped_name
 from shes.settings import Ge, Shown, checked
 from shes.storage import write_atomically
 from shes.types import F64Array
-from shes.viewing.curves import confidence_interval
-from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_text
+from shes.viewing.curves import Group, RunData, confidence_interval, group_runs, read_runs, setting_text
 from shes.viewing.render import check_target, render
-from shes.viewing.report_figures import (
-    MOST_EPISODES,
-    SECTIONS,
-    Figure,
-    curve_figure,
-    panels_of,
-    play_maps,
-)
+from shes.viewing.report_figures import MOST_EPISODES, SECTIONS, Figure, curve_figure, panels_of, play_maps
 
 logger = logging.getLogger("shes.report")
 _MOST_SHOWN = 6
@@ -277,7 +269,6 @@ def _read_plotly() -> str:
 
 
 def _section(title: str, *parts: str) -> str:
-    """Return a section of the page; empty without `parts`."""
     content = "\n".join(filter(None, parts))
     return f"<section>\n<h2>{escape(title)}</h2>\n{content}\n</section>" if content else ""
 
@@ -287,7 +278,6 @@ def _paragraph(text: str, kind: str = "hint") -> str:
 
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table; empty without rows."""
     lines = ["".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows]
     head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
     body = "\n".join(f"<tr>{line}</tr>" for line in lines)

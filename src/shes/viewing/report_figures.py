@@ -15,8 +15,7 @@ from shes.drawing.renderer import extent_of, outlines
 from shes.runs.build import open_run
 from shes.runs.folder import RunFolder
 from shes.types import F64Array, FloatArray
-from shes.viewing.curves import X_AXES, column_curve
-from shes.viewing.groups import Group, RunData
+from shes.viewing.curves import X_AXES, Group, RunData, column_curve
 from shes.viewing.playback import Playback
 
 Figure = dict[str, Any]

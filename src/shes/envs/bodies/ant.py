@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import mujoco
 
+from shes.envs.bodies.body import add_motor
 from shes.envs.bodies.free_body import FreeBody, free_elements
 from shes.types import BoolArray, F64Array
 
@@ -50,7 +51,8 @@ class Ant(FreeBody):
         torso.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TORSO_RADIUS_M, 0, 0])
         for number in _LEGS:
             self._add_leg(torso, number)
-        self.add_motors(spec)
+        for joint in self.controls:
+            add_motor(spec, joint, self.control_limit)
 
     @staticmethod
     def _add_leg(torso: mujoco.MjsBody, number: int) -> None:

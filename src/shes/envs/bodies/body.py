@@ -70,26 +70,22 @@ class SymmetryGroup:
 
 
 def dihedral_group(
-    num_turns: int, turn: tuple[F64Array, F64Array], mirror: tuple[F64Array, F64Array], *, is_mirrored: bool
+    num_turns: int, turn: tuple[F64Array, F64Array], mirror: tuple[F64Array, F64Array] | None
 ) -> SymmetryGroup:
-    """Return the group that a rotation, and with `is_mirrored` a reflection, generate.
+    """Return the group that a rotation by 1 / `num_turns` of a turn to the left, and a reflection, generate.
 
-    Args:
-        num_turns: Order of the rotation, K.
-        turn: Matrices of the rotation to the left by 1 / K of a turn: of the egocentric view [V, V] and of the
-            controls [A, A], the latter a signed permutation.
-        mirror: Signed permutations of the reflection, left to right.
-        is_mirrored: Whether the group contains the reflections.
+    `turn` and `mirror` are their matrices for the egocentric view [V, V] and for the controls [A, A]: signed
+    permutations, but for the turn's view. With one turn, `turn` gives no more than the sizes.
     """
     views, controls = (
-        np.stack([flip @ np.linalg.matrix_power(turned, k) for flip in flips for k in range(num_turns)])
-        for turned, flips in ((turn[i], [np.eye(len(turn[i])), mirror[i]][: 1 + is_mirrored]) for i in (0, 1))
+        np.stack([flip @ np.linalg.matrix_power(turn[i], k) for flip in flips for k in range(num_turns)])
+        for i, flips in ((i, [np.eye(len(turn[i])), *(() if mirror is None else (mirror[i],))]) for i in (0, 1))
     )
     inverses = controls.transpose(0, 2, 1)
     is_permutation = np.isin(views, (-1.0, 0.0, 1.0)).all()
     return SymmetryGroup(
         num_turns=num_turns,
-        is_mirrored=is_mirrored,
+        is_mirrored=mirror is not None,
         view_index=np.abs(views).argmax(axis=2),
         view_sign=views.sum(axis=2),
         control_index=np.abs(inverses).argmax(axis=2),
@@ -127,6 +123,14 @@ def yaw(quaternion: F64Array) -> F64Array:
     return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
 
 
+def add_motor(spec: mujoco.MjSpec, joint: str, limit: float, gear: float = 1.0) -> None:
+    """Add a motor to `spec` at `joint`, with the joint's name and controls in [-limit, limit]."""
+    motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.set_to_motor()
+    motor.gear = [gear, 0, 0, 0, 0, 0]
+    motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
+
+
 class Body(ABC):
     """A robot. Its coordinates are the first of the model's qpos and qvel."""
 
@@ -157,7 +161,7 @@ class Body(ABC):
     control_map: tuple[F64Array, F64Array] | None = None
     """Offset and factor [A] that make the model's controls from those of a policy; None if they are the same."""
     scale: float = 1.0
-    """Metres that count as one: worlds, distances and rewards are made for the ant, and are this much larger here."""
+    """Size relative to the ant's, for which worlds are made: metres of their unit of length."""
     timestep_s: float = 0.02
     """Physics step."""
     frame_skip: int = 5
@@ -193,15 +197,6 @@ class Body(ABC):
     def as_drawn(self) -> Body:
         """Return the body that `add_to` adds to a world for pictures, whose coordinates are those of this one."""
         return self
-
-    def add_motors(self, spec: mujoco.MjSpec, gear: float = 1.0) -> None:
-        """Add a motor to `spec` for each of `controls`, if these are names of joints."""
-        for joint in self.controls:
-            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.set_to_motor()
-            motor.gear = [gear, 0, 0, 0, 0, 0]
-            motor.ctrllimited = True
-            motor.ctrlrange = [-self.control_limit, self.control_limit]
 
     @abstractmethod
     def heading(self, qpos: F64Array) -> F64Array:
@@ -240,5 +235,5 @@ class Body(ABC):
         return None
 
     def position(self, qpos: F64Array, num_axes: int = 2) -> F64Array:
-        """Return x and y, or x, y and z, of robots at `qpos` [N, num_qpos], in multiples of `scale`."""
+        """Return x and y, or x, y and z, of robots at `qpos` [N, num_qpos], in units of `scale`."""
         return qpos[..., :num_axes] if self.scale == 1 else qpos[..., :num_axes] / self.scale

@@ -88,7 +88,9 @@ class FreeBody(Body):
 
     def found_symmetry(self) -> FoundSymmetry:
         """Return the symmetry of the body's model, as `find_symmetry` finds it."""
-        return find_symmetry(self.alone(), self.home, self.control_map)
+        model = self.alone()
+        home = model.qpos0 if self.home is None else self.home
+        return find_symmetry(model, home, self.control_map or (0.0, self.control_limit))
 
     def alone(self) -> mujoco.MjModel:
         """Return the model of the body without a world."""

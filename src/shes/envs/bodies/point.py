@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, elements
+from shes.envs.bodies.body import Body, add_motor, elements
 from shes.types import BoolArray, F64Array
 
 RADIUS_M = 0.25
@@ -48,7 +48,8 @@ class Point(Body):
                 ref=height if axis == "z" else 0.0,
                 damping=DAMPING,
             )
-        self.add_motors(spec, GEAR_N)
+        for joint in self.controls:
+            add_motor(spec, joint, self.control_limit, GEAR_N)
 
     def heading(self, qpos: F64Array) -> F64Array:
         """Return zeros [N]."""

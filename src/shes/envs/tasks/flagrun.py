@@ -15,7 +15,7 @@ from shes.settings import Ge, Le, Shared
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NEAR_M = 1.0
-"""Least distance of a new goal. Within it, the reward of a step is 1 higher."""
+"""Least distance of a new goal, in units of `scale`. Within it, the reward of a step is 1 higher."""
 DISTANCE_SCALE = 0.001
 """Factor on the distance to the goal in observations."""
 
@@ -30,7 +30,8 @@ class FlagrunOptions(FallOptions):
     controller_interval: Annotated[int, Ge(1), Shared()] = 25
     """Control steps between two goals."""
     goal_distance: Annotated[float, Ge(NEAR_M), Le(FURTHEST_M), Shared()] = 4.0
-    """Half width of the square around the robot from which goals are drawn, in metres."""
+    """Half width of the square around the robot from which goals are drawn, in metres or, for a robot from a file, in
+    multiples of its size."""
     stiff_contacts: bool = False
     """Whether contacts are as stiff as in Push and Fall, to train a primitive for these tasks."""
 
@@ -39,7 +40,7 @@ class FlagrunReader(BodyReader):
     """Reads the goal from the sine and cosine of its bearing and from its distance."""
 
     def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array:
-        """Return the goals [N, 2] in the world, in metres."""
+        """Return the goals [N, 2] in the world; see `Reader.goal`."""
         bearing = np.arctan2(rows[:, 0], rows[:, 1]) + heading
         distance = rows[:, 2] / DISTANCE_SCALE
         return position + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
@@ -59,6 +60,7 @@ class Flagrun(Task):
     name: ClassVar[str] = "flagrun"
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     sets_goals: ClassVar[bool] = True
+    falls_end = True
     Options = FlagrunOptions
     options: FlagrunOptions
     description: ClassVar[TaskDescription] = TaskDescription(
@@ -94,13 +96,8 @@ class Flagrun(Task):
         )
 
     @property
-    def terminated(self) -> BoolArray:
-        """Whether the robot has fallen [N]."""
-        return self.is_down()
-
-    @property
     def distance(self) -> F64Array:
-        """Distance to the goal of the next step [N] in metres."""
+        """Distance to the goal of the next step [N], in units of `scale`."""
         return self._distance.copy()
 
     @property
@@ -110,7 +107,7 @@ class Flagrun(Task):
 
     @property
     def success(self) -> BoolArray:
-        """Whether the last step ended within 1 m of its goal [N], even if the goal has moved since."""
+        """Whether the last step ended within `NEAR_M` of its goal [N], even if the goal has moved since."""
         return self._is_near & ~self.sim.diverged
 
     def markers(self, episode: int) -> list[Marker]:
@@ -160,13 +157,11 @@ class Flagrun(Task):
 
     def observe(self) -> F64Array:
         """Return goal and robot [N, O]."""
-        nq, nv = self.body.num_qpos, self.body.num_qvel
         angle = np.arctan2(self._offset[1], self._offset[0])
         angle -= self.heading
         out = self._observation
         np.sin(angle, out=out[:, 0])
         np.cos(angle, out=out[:, 1])
         np.multiply(self._distance, DISTANCE_SCALE, out=out[:, 2])
-        out[:, 3 : 3 + nq] = self.sim.qpos
-        self.write_velocity(self.sim.qvel, out[:, 3 + nq : 3 + nq + nv])
+        self.write_robot(out[:, 3:])
         return out

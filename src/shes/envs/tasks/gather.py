@@ -15,7 +15,7 @@ import numpy as np
 from shes.envs.bodies.body import Body, ObservationElement
 from shes.envs.markers import FOOD, POISON, Marker
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, FallOptions, Task, TaskDescription, TaskOptions
-from shes.envs.worlds import add_square_walls, empty_world
+from shes.envs.worlds import add_square_walls
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
 NUM_OBJECTS = 8
@@ -85,14 +85,12 @@ class Gather(Task):
         self._squared_distance: F64Array = xp.zeros(self.present.shape)
 
     @classmethod
-    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the arena, a free square between walls; objects are not geoms."""
-        if options.spec == "shes":
-            return super().build_world(body, options)
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, body.timestep_s)
-        add_square_walls(spec, HIRO_WALLS_M, body.scale)
-        body.add_to(spec)
-        return spec
+    def add_walls(cls, spec: mujoco.MjSpec, body: Body, options: TaskOptions) -> None:
+        """Add the walls of the arena to `spec`, a free square between them; objects are not geoms."""
+        if options.spec == "hiro":
+            add_square_walls(spec, HIRO_WALLS_M, body.scale)
+        else:
+            super().add_walls(spec, body, options)
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
@@ -131,7 +129,7 @@ class Gather(Task):
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the nearest piece of food left [N] in metres; infinity if none is left."""
+        """Distance to the nearest piece of food left [N], in units of `scale`; infinity if none is left."""
         left = np.where(self.present[:, 0], self._squared_distance[:, 0], np.inf)
         return np.sqrt(left.min(axis=1))
 
@@ -168,7 +166,7 @@ class Gather(Task):
 
     @property
     def objects(self) -> F64Array:
-        """Positions of the objects [N, kind, object, xy] in metres, a view; kind 0 is food, kind 1 poison."""
+        """Positions of the objects [N, kind, object, xy] in units of `scale`, a view; kind 0 is food, 1 poison."""
         return np.moveaxis(self._places, 0, -1)
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
@@ -217,14 +215,10 @@ class Gather(Task):
 
     def observe(self) -> F64Array:
         """Return robot, readings (without what this step has collected), and time [N, O]."""
-        nq, nv = self.body.num_qpos, self.body.num_qvel
-        is_hiro = self.options.spec == "hiro"
-        out = self._observation
-        out[:, :nq] = self.sim.qpos
-        self.write_velocity(self.sim.qvel, out[:, nq : nq + nv])
-        readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
-        out[:, readings] = self._readings()
-        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv if is_hiro else -1])
+        out, is_hiro = self._observation, self.options.spec == "hiro"
+        end = self.write_robot(out)
+        out[:, slice(end + 1, None) if is_hiro else slice(end, -1)] = self._readings()
+        np.multiply(self.time, TIME_SCALE, out=out[:, end if is_hiro else -1])
         return out
 
     def _readings(self) -> F64Array:

@@ -38,12 +38,13 @@ class TargetOptions(FallOptions):
     """Options of a task with a target."""
 
     target: Coordinates | None = None
-    """Fixed target of training in metres; none is the task's own distribution of targets."""
+    """Fixed target of training in metres or, for a robot from a file, in multiples of its size; none is the task's own
+    distribution of targets."""
     evaluation_target: Coordinates | None = None
-    """Target of evaluation in metres; none is the task's own."""
+    """Target of evaluation, like `target`; none is the task's own."""
     waypoints: Coordinates | None = None
     """Points on the path to the target, in order. Each is passed within 3 m, or within 8 m if the next one is nearer.
-    The reward of training is the progress along the path, in metres. Evaluation does not use them."""
+    The reward of training is the progress along the path. Evaluation does not use them. Lengths are as of `target`."""
 
     @property
     def has_random_target(self) -> bool:
@@ -60,7 +61,10 @@ class BlockOptions(TargetOptions):
 
 
 class TargetTask(Task):
-    """The robot must come within 5 m of a target. The reward is the negative distance to it."""
+    """The robot must come within 5 m of a target. The reward is the negative distance to it.
+
+    For a robot from a file these are not metres, but multiples of its size, as all lengths here; see `Body.scale`.
+    """
 
     Options: ClassVar[Any] = TargetOptions
     options: Any
@@ -69,7 +73,7 @@ class TargetTask(Task):
     block_axes: ClassVar[str] = ""
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
-    """Default target: x and y, or x, y and z, in metres."""
+    """Default target: x and y, or x, y and z, in units of `scale`."""
     target_scale: ClassVar[float] = 1.0
     """Factor on the target in observations, with specification shes."""
     description: ClassVar[TaskDescription] = TaskDescription(
@@ -83,9 +87,9 @@ class TargetTask(Task):
         """Allocate targets, the way to them, and the observation."""
         own_target = self.xp.asarray(self.own_target, dtype=np.float64)
         self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
-        """Targets [N, 2] or [N, 3] in metres."""
+        """Targets [N, 2] or [N, 3], in units of `scale`."""
         self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
-        self.ends_early = self._min_cos_tilt is not None
+        self.falls_end = self.ends_early = self._min_cos_tilt is not None
         if self.options.spec == "hiro":
             self.primitive_view = self.primitive_view[: -len(self.own_target)]
         self.set_way(None)
@@ -100,7 +104,7 @@ class TargetTask(Task):
         self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
         self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
         self._next[:] = 0  # rows that are not reset may have passed more points than there are now
-        self._left: F64Array = self.xp.full(self.num_episodes, np.nan)  # metres of the path at the last step
+        self._left: F64Array = self.xp.full(self.num_episodes, np.nan)  # of the path at the last step
 
     def places(self, states: F64Array) -> Places:
         """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`.
@@ -148,9 +152,7 @@ class TargetTask(Task):
         velocity = elements([f"block_v{axis}" for axis in axes], "{}: velocity of the block", "m/s")
         scale = "" if self._target_scale == 1 else f", times {self._target_scale}"
         return (
-            *self.body.pose,
-            *pose,
-            *self.velocity_elements((*self.body.velocity, *velocity)),
+            *self.robot_elements(pose, velocity),
             *TIME_ELEMENTS,
             *elements([f"target_{axis}" for axis in "xyz"[: len(self.own_target)]], f"{{}}{scale}", "m"),
         )
@@ -161,7 +163,7 @@ class TargetTask(Task):
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the target [N] in metres, in all coordinates that the target has."""
+        """Distance to the target [N], in units of `scale`, in all coordinates that the target has."""
         return self._distance_to(self.target)
 
     def _distance_to(self, points: F64Array) -> F64Array:
@@ -174,23 +176,18 @@ class TargetTask(Task):
         return np.sqrt(total)
 
     @property
-    def terminated(self) -> BoolArray:
-        """Whether the robot lies [N]: in training with `max_tilt` alone."""
-        return self.is_down() if self.ends_early else self.xp.zeros(self.num_episodes, dtype=np.bool_)
-
-    @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
         return np.where(self.terminated & (self._num_waypoints == 0), self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:
-        """Whether the target is nearer than 5 m [N]."""
+        """Whether the target is nearer than `SUCCESS_DISTANCE_M` [N]."""
         return (self.distance < SUCCESS_DISTANCE_M) & ~self.sim.diverged
 
     @property
     def score(self) -> F64Array:
-        """1 where the target is nearer than 5 m, else 0 [N]."""
+        """1 where the target is nearer than `SUCCESS_DISTANCE_M`, else 0 [N]."""
         return self.success.astype(np.float64)
 
     def markers(self, episode: int) -> list[Marker]:
@@ -229,13 +226,10 @@ class TargetTask(Task):
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
-        num_observed = len(self._observed_axes)
-        nq, nv = self.body.num_qpos + num_observed, self.body.num_qvel + num_observed
         out = self._observation
-        out[:, :nq] = self.sim.qpos[:, :nq]
-        self.write_velocity(self.sim.qvel[:, :nv], out[:, nq : nq + nv])
-        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv])
-        np.multiply(self.target, self._target_scale * self.scale, out=out[:, nq + nv + 1 :])
+        end = self.write_robot(out, len(self._observed_axes))
+        np.multiply(self.time, TIME_SCALE, out=out[:, end])
+        np.multiply(self.target, self._target_scale * self.scale, out=out[:, end + 1 :])
         return out
 
 

@@ -1,5 +1,7 @@
 """The contract of a task: N episodes in a MuJoCo world, for training, evaluation and Gymnasium.
 
+Lengths are in units of `Body.scale`: metres, but for a robot from a file, whose world has its size.
+
 Source: time step, frame skip and observation scales follow the SHES authors' HrlMuJoCoEnvs.jl. A task owns its
 simulator. It loops over episodes only in a reset, where each draws from its own seed.
 """
@@ -29,7 +31,7 @@ FURTHEST_M = 1000.0
 """Largest coordinate of a target or goal: beyond every world, and small enough that its square is finite."""
 
 Coordinates = Annotated[tuple[float, ...], Ge(-FURTHEST_M), Le(FURTHEST_M), Example("0 16")]
-"""Coordinates of a point in metres."""
+"""Coordinates of a point."""
 TIME_SCALE = 0.001
 """Factor on the number of control steps in observations."""
 TIME_ELEMENTS = elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
@@ -107,7 +109,7 @@ class BodyReader(Reader):
         return rows, seen.ndim == 1
 
     def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
-        """Return position [N, 2] in metres and heading [N] in radians, from the observation alone."""
+        """Return position [N, 2] and heading [N], from the observation alone; see `Reader.locate`."""
         qpos = rows[:, self._qpos]
         return self._body.position(qpos), self._body.heading(qpos)
 
@@ -126,6 +128,8 @@ class Task(EpisodeBatch):
     specs: ClassVar[tuple[str, ...]] = ("shes",)
     """Specifications that the task implements."""
     Options: ClassVar[Any] = TaskOptions
+    falls_end: bool = False
+    """Whether a fall ends an episode."""
     grid: ClassVar[Grid] = ARENA
     """The grid of the world; see `shes.envs.worlds`."""
 
@@ -183,10 +187,15 @@ class Task(EpisodeBatch):
         is_stiff = getattr(options, "stiff_contacts", "B" in "".join(cls.grid))
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator, body.timestep_s, stiff_contacts=is_stiff)
         body.add_to(spec, cls.ground_m * body.scale)
-        add_grid(spec, cls.grid, body.scale, body.block_factor)
+        cls.add_walls(spec, body, options)
         if body.scale != 1:
             spec.add_numeric(name=SCALE, data=[body.scale], size=1)
         return spec
+
+    @classmethod
+    def add_walls(cls, spec: mujoco.MjSpec, body: Body, options: TaskOptions) -> None:  # noqa: ARG003 - as in Gather
+        """Add the walls, platforms and blocks of `grid` to `spec`."""
+        add_grid(spec, cls.grid, body.scale, body.block_factor)
 
     @property
     @abstractmethod
@@ -196,7 +205,7 @@ class Task(EpisodeBatch):
     @property
     @abstractmethod
     def distance(self) -> F64Array:
-        """Distance to what is to be reached next [N] in metres; infinity if nothing is left to reach."""
+        """Distance to what is to be reached next [N], in units of `scale`; infinity if nothing is left to reach."""
 
     @abstractmethod
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
@@ -230,8 +239,8 @@ class Task(EpisodeBatch):
 
     @property
     def terminated(self) -> BoolArray:
-        """Whether the task has ended the episode [N]; by default never."""
-        return self.xp.zeros(self.num_episodes, dtype=np.bool_)
+        """Whether the task has ended the episode [N]: by default where the robot has fallen, or never."""
+        return self.is_down() if self.falls_end else self.xp.zeros(self.num_episodes, dtype=np.bool_)
 
     @property
     def fallen(self) -> BoolArray:
@@ -258,22 +267,29 @@ class Task(EpisodeBatch):
         """Return a copy of the qpos [nq] of episode `episode`, as a NumPy array."""
         return to_host(self.sim.qpos[episode]).copy()
 
-    def robot_elements(self) -> tuple[ObservationElement, ...]:
-        """Return the elements of the robot's qpos and qvel."""
-        return self.body.pose + self.velocity_elements(self.body.velocity)
-
-    def velocity_elements(self, velocity: tuple[ObservationElement, ...]) -> tuple[ObservationElement, ...]:
-        """Return the elements of velocities as `write_velocity` writes them."""
+    def robot_elements(
+        self, pose: tuple[ObservationElement, ...] = (), velocity: tuple[ObservationElement, ...] = ()
+    ) -> tuple[ObservationElement, ...]:
+        """Return the elements of what `write_robot` writes; `pose` and `velocity` are those of a block."""
         limit = np.inf if self.options.spec == "hiro" else self.body.velocity_clip
-        return tuple(replace(each, low=-limit, high=limit) for each in velocity)
+        speeds = (replace(each, low=-limit, high=limit) for each in (*self.body.velocity, *velocity))
+        return (*self.body.pose, *pose, *speeds)
 
-    def write_velocity(self, velocity: F64Array, out: F64Array) -> None:
-        """Write velocities into `out`: clipped with specification shes, unchanged with hiro."""
+    def write_robot(self, out: F64Array, num_more: int = 0) -> int:
+        """Write the robot's qpos and qvel, each with `num_more` values of a block, to `out`; return their number.
+
+        Velocities are clipped with specification shes, unchanged with hiro.
+        """
+        num_qpos = self.body.num_qpos + num_more
+        end = num_qpos + self.body.num_qvel + num_more
+        out[:, :num_qpos] = self.sim.qpos[:, :num_qpos]
+        velocity, written = self.sim.qvel[:, : end - num_qpos], out[:, num_qpos:end]
         if self.options.spec == "hiro":
-            out[:] = velocity
+            written[:] = velocity
         else:
-            np.maximum(velocity, -self.body.velocity_clip, out=out)  # two ufuncs are faster than np.clip
-            np.minimum(out, self.body.velocity_clip, out=out)
+            np.maximum(velocity, -self.body.velocity_clip, out=written)  # two ufuncs are faster than np.clip
+            np.minimum(written, self.body.velocity_clip, out=written)
+        return end
 
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
