@@ -210,14 +210,22 @@ def test_a_file_that_is_cut_off_ends_a_run_and_loses_nothing(tmp_path, tiny_run,
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is Linux's")
-def test_a_full_disk_ends_a_run_and_loses_no_row(tmp_path, tiny_run):
+@pytest.mark.parametrize(
+    ("is_full", "message"),
+    [
+        (True, r"cannot write .*progress\.csv: the disk is full: make room.*`shes resume`"),
+        (False, r"progress\.csv was removed while the run went on\. Restore it, then `shes resume`"),
+    ],
+)
+def test_a_full_disk_or_a_lost_table_loses_no_row(tmp_path, tiny_run, is_full, message):
     table, kept = tmp_path / "run" / "progress.csv", tmp_path / "kept.csv"
 
     def fill():
         table.rename(kept)
-        table.symlink_to("/dev/full")
+        if is_full:
+            table.symlink_to("/dev/full")
 
-    with pytest.raises(ShesError, match=r"cannot write .*progress\.csv: the disk is full: make room.*`shes resume`"):
+    with pytest.raises(ShesError, match=message):
         runs.train_tiny(tmp_path / "run", listener=runs.AfterGeneration(1, fill))
     kept.replace(table)
     shes.resume(tmp_path / "run")

@@ -109,6 +109,8 @@ class CsvTable:
                 f"{self._path} has columns that this run does not write: {', '.join(unknown)}. Remove them, or restore "
                 "the table from a copy."
             )
+        if not header and not self._path.exists():
+            raise RunFolderError(f"{self._path} was removed while the run went on. Restore it, then `shes resume`.")
         text = csv_text([*header, [repr(row[name]) for name in self._columns]])
         with storage_errors(self._path), self._path.open("a", encoding="utf-8") as file:
             file.write(text)
