@@ -110,8 +110,6 @@ def find_run(run: Path | str) -> Path:
     An existing path takes precedence over a name; `./name` is always a path.
     """
     if not isinstance(run, str | os.PathLike) or not os.fspath(run):
-        raise ConfigError(f"a run must be the path of its folder, or the name of a shipped agent, got {run!r}.")
-    if not isinstance(run, str | os.PathLike):
         raise ConfigError(f"a run must be the path of its folder or the name of a shipped agent, got {run!r}.")
     given = os.fspath(run)
     return AGENTS / given if given in shipped_names() and not os.path.lexists(given) else Path(given)
