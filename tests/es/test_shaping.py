@@ -13,7 +13,9 @@ from tests.es import textbook
 # Few values, so many ties, and all exact in binary after any shift and scale below.
 fitnesses = st.lists(st.integers(-6, 6), min_size=1, max_size=25).map(lambda values: [*values, *reversed(values)])
 wide = st.lists(st.floats(-1e300, 1e300), min_size=20, max_size=20)
-every_shaping = pytest.mark.parametrize("shaping", [cls() for cls in FITNESS_SHAPINGS.values()], ids=str)
+every_shaping = pytest.mark.parametrize(
+    "shaping", [cls() for cls in FITNESS_SHAPINGS.values()], ids=list(FITNESS_SHAPINGS)
+)
 
 
 def _array(values):
