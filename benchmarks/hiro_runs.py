@@ -1,4 +1,4 @@
-"""Runs of HIRO and flat TD3, to stand beside those of SHES: `python benchmarks/hiro_runs.py --out runs/hiro`.
+"""Runs of HIRO and flat TD3, to compare with SHES: `python benchmarks/hiro_runs.py --out runs/hiro`.
 
 Every run can be interrupted at any time: the same command goes on. A run ends after its environment steps or minutes,
 whichever are first, or when it diverges; the minutes of earlier calls count. `--only td3-point-maze` makes some of the

@@ -1,6 +1,6 @@
 """Speed of HIRO's and TD3's learner: updates and environment steps per second on an idle machine.
 
-`python benchmarks/hiro_speed.py --sb3-python PATH` measures Stable-Baselines3's TD3 of the same sizes beside ours. PATH
+`python benchmarks/hiro_speed.py --sb3-python PATH` measures our TD3 and Stable-Baselines3's of the same sizes. PATH
 is the Python of a throwaway environment with stable-baselines3, psutil and this package's dependencies (torch stays out
 of ours). Without it, ours alone is measured. Each measurement is a process of its own; their order alternates.
 """

@@ -3,8 +3,8 @@
 - `frozen`: a controller on a shipped walker (`shes train ant-gather --primitive ant-walker`).
 - `coevolved`: both levels together from scratch (`shes train ant-gather`).
 
-Every run can be interrupted at any time: the same command goes on, with several workers or runs beside each other. The
-tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and beside it
+Every run can be interrupted at any time: the same command goes on, with several workers or runs at once. The
+tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and
 rows for the best of nine constant controllers and for random goals on the same primitive; on a shipped walker, which
 all seeds share, these two once.
 """

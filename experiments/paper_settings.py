@@ -60,7 +60,7 @@ _PIECES = (
 )
 """Settings that are learning changes; the others of a preset say how large networks and population are."""
 _OF_BRANCHES_ALONE = ("population_size", "sigma", "learning_rate")
-"""Those of branched pairs where no controller is trained beside them."""
+"""Settings of branched pairs where no controller is trained with them."""
 _STEP_NAMES = {
     "views": ("primitive_view", "goal_encoding"),
     "symmetry": ("symmetry",),
@@ -75,7 +75,7 @@ _STEP_NAMES = {
 }
 """Settings of the form with the changes that each step adds to the form as published."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price")
-"""Settings, beside `primitive_...`, that come with a transferred primitive or have no effect on a frozen one."""
+"""Settings, besides `primitive_...`, that come with a transferred primitive or have no effect on a frozen one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ class Scale:
     has_fixed_target: bool = False
     """Whether every method trains Maze on its own target, as preset `laptop` does for the ant."""
     branched_population: int | None = None
-    """Size of a population of branched pairs beside controllers, if it is not the form's."""
+    """Size of a population of branched pairs that is trained with controllers, if it is not the form's."""
     hiro: Mapping[str, Any] = field(default_factory=dict)
     """Settings of HIRO over `hiro_preset`."""
     hiro_preset: str = "laptop"

@@ -1,4 +1,4 @@
-"""Versions of the packages that are compared, and the machine, written beside the results of a script."""
+"""Versions of the packages that are compared, and the machine, written next to the results of a script."""
 
 from __future__ import annotations
 

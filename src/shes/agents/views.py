@@ -50,7 +50,7 @@ class View(ABC):
     """Selects or computes the values that a level sees. It is sent to worker processes."""
 
     is_egocentric: bool = False
-    """Whether the values, and the goals beside them, are expressed in the robot's own frame."""
+    """Whether the values, like the goals, are expressed in the robot's own frame."""
 
     @abstractmethod
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
@@ -252,7 +252,7 @@ def egocentric_and_others(task: EpisodeBatch) -> View | str:
 def sectors(task: EpisodeBatch) -> View | str:
     """The task's sensors, and the heading and the position by sector (Gather): what the equivariant network needs."""
     if not task.sensor_rings.size or not len(task.position_columns) or task.robot is None:
-        return "and no sensors around it beside its position, as Gather has"
+        return "and no sensors around it apart from its position, as Gather has"
     velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
     vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
     return SectorsView(task.sensor_rings.tolist(), vectors, task.scale)

@@ -119,7 +119,7 @@ HIRO_PRESETS: Mapping[str, Preset] = {
         per_environment={env: {"spec": "hiro", **_NOISE.get(env, {})} for env in BUILTIN_ENVIRONMENTS} | _SMALL_MAZE,
     ),
     # The same with the values of HIRO in Table I, in the environments of the SHES authors. Their Maze shows the target
-    # in units of 100 m beside x and y in metres: without normalisation the controller would hardly see it.
+    # in units of 100 m, x and y in metres: without normalisation the controller would hardly see it.
     "hiro-table1": Preset(
         values={**_HIRO, "actor_learning_rate": 0.001, "normalise_inputs": True},
         per_environment=_NOISE | _SMALL_MAZE,

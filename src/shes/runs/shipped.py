@@ -1,6 +1,6 @@
 """Shipped agents: trained agents in the package, whose names can be given instead of a run folder.
 
-Each is a small run folder below `shipped/`, with `agent.json` beside its `config.json`.
+Each is a small run folder below `shipped/`, with `agent.json` and `config.json`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """MuJoCo on mujoco-warp: N simulations in lockstep, on a CUDA GPU or, for tests, on the CPU.
 
 The arrays are float32 views of Warp's memory, as NumPy or CuPy arrays. The substeps of a control step and the kernels
-beside them (`warp_kernels`) are captured once in a graph and replayed. On a GPU this saves the launches; on the CPU it
+around them (`warp_kernels`) are captured once in a graph and replayed. On a GPU this saves the launches; on the CPU it
 saves the Python code between kernels, which dominates when few simulations run.
 
 Differences from MuJoCo in C: the state is float32; the solver stops at a tolerance of 1e-6; a contact at the edge of

@@ -1,4 +1,4 @@
-"""Kernels that run beside mujoco-warp's own, in every substep.
+"""Kernels that run with mujoco-warp's own, in every substep.
 
 mujoco-warp has no warning counters: a simulation that diverges continues with NaN. These kernels detect and reset it,
 as `mj_step` does. One thread is one simulation. The launches are part of the captured graph, so the host is not
