@@ -1,6 +1,7 @@
 """Runs of a robot from its file: trained, moved elsewhere without the file, resumed, exported, compared."""
 
 import json
+import re
 import runpy
 import shutil
 from pathlib import Path
@@ -151,7 +152,9 @@ def test_what_cannot_be_used_writes_nothing(robot, tmp_path, monkeypatch, capsys
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hexapod.xml", "lying.xml"]
 
 
-def test_commands_say_what_they_understood(robot, trained, capsys):
+def test_commands_say_what_they_understood(robot, trained, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
     def printed(*words):
         assert main([*words]) == 0
         return capsys.readouterr().out
@@ -161,6 +164,12 @@ def test_commands_say_what_they_understood(robot, trained, capsys):
     assert facts["root"].startswith("trunk, 12 joints")
     assert facts["size"].startswith("0.42 of the ant's")
     assert f"root: {facts['root']}" in printed("envs", "--robot", str(robot))
+    assert facts["at rest"] == "with outputs of 0 it stands for 2 s or longer"
+    assert re.search(
+        r"at rest: with outputs of 0 it falls after 0.\d+ s\n", printed("envs", "--robot", str(ASSETS / "humanoid.xml"))
+    )
+    Path("stiff.xml").write_text(walker(4, actuator='<position joint="{}" kp="1e9"/>'))
+    assert "at rest: with outputs of 0 its physics diverges after 0.0" in printed("envs", "--robot", "stiff.xml")
     assert "hexapod" in json.loads(printed("info", str(trained), "--json"))["robot"]
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pkgutil import resolve_name
 from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium
+import numpy as np
 
 from shes.envs.bodies.body import Body, yaw
 from shes.envs.bodies.robot import Robot, RobotOptions
@@ -28,6 +30,9 @@ _HOW_TO_REGISTER = (
     "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: shes.register_environment, "
     "shes.register_external, or --import MODULE."
 )
+
+
+_REST_S = 2.0  # seconds for which a robot is watched
 
 
 class Environment(NamedTuple):
@@ -225,7 +230,7 @@ def list_environments(
         raise ConfigError(f"robot {robot!r} comes with SHES, as in {robot}-gather: `shes envs` lists it. Name a file.")
     if robot is not None:
         options = RobotOptions(robot=robot, motors=motors, control_step=control_step, robot_keyframe=robot_keyframe)
-        facts = Robot(options).describe()
+        facts = Robot(options).describe() | {"at rest": _rest(options)}
         return Listing(facts, [f"{name}: {text}" for name, text in facts.items()])
     rows = [_describe(*named) for named in (*ENVIRONMENTS.items(), *EXTERNAL_ENVIRONMENTS.items())]
     shown = [
@@ -240,6 +245,18 @@ def list_environments(
         "In Gymnasium: shes/AntGather-v0, and shes/AntGatherHiro-v0 for --spec hiro. More: --json, and `make docs`.",
     )
     return Listing(rows, parts)
+
+
+def _rest(options: RobotOptions) -> str:
+    """Return how long the robot of `options` stands if every output is 0, in words."""
+    task = ROBOT_ENVIRONMENTS["flagrun"]._replace(body=partial(Robot, options)).make(1)  # type: ignore[arg-type]
+    task.reset(np.array([0]), [0])
+    for step in range(1, round(_REST_S / task.step_s) + 1):
+        task.step(np.array([0]), np.zeros((1, task.action_size)))
+        if task.terminated[0] or task.diverged[0]:
+            what = "its physics diverges" if task.diverged[0] else "it falls"
+            return f"with outputs of 0 {what} after {step * task.step_s:.3g} s"
+    return f"with outputs of 0 it stands for {_REST_S:g} s or longer"
 
 
 def _describe(name: str, environment: EnvironmentMaker) -> dict[str, Any]:
