@@ -88,8 +88,6 @@ def test_trackio_takes_the_place_of_wandb(tmp_path):
     assert say(tmp_path, "logging_run.py") == "logged 4 generations"
 
 
-# Notebooks.
-
 NOTEBOOKS = sorted((EXAMPLES[0].parent / "notebooks").glob("*.ipynb"))
 HEXAPOD = EXAMPLES[0].with_name("hexapod.xml")
 SHORTER = {"GENERATIONS": "2", "GENERATIONS, SEEDS": "2, (1, 2)", "STEPS": "4", "ROBOT": repr(str(HEXAPOD))}

@@ -166,9 +166,6 @@ def test_a_worker_stopped_between_maps_delays_nothing(backend, tmp_path):
     assert {state for _, state in done} == {9}
 
 
-# The end of workers.
-
-
 @pytest.mark.parametrize("moment", ["at_work", "error"])
 def test_workers_are_closed_before_they_end(tmp_path, moment):
     diary, meeting, folder = (tmp_path / name for name in ("diary", "meeting", "at_work"))

@@ -163,9 +163,6 @@ def test_one_that_fails_to_start_is_started_again_next_map():
     assert (backend.num_started, len(backend.workers)) == (5, 2)
 
 
-# Silence.
-
-
 @pytest.mark.parametrize(
     ("limit_s", "reported_s", "end"),
     [(600.0, 60, "replaced after 600 s"), (8.0, 4, "replaced after 8 s"), (None, 60, "never replaced")],
@@ -193,9 +190,6 @@ def test_time_in_which_the_run_was_stopped_does_not_count():
     backend.workers[0].due = [(50.0, ("ready", []))]
     assert run(backend, [5]) == [5]
     assert backend.told == []
-
-
-# Who is told of tasks.
 
 
 def test_no_more_workers_are_told_than_there_is_work_for():

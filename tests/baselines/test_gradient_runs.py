@@ -72,9 +72,6 @@ def untrained(tmp_path):
     return make
 
 
-# Settings and errors.
-
-
 SEEN = {
     # setting: (value, what reads it, what that finds)
     "hidden": ((9, 8), lambda a: [level.actor.sizes[1:-1] for level in a.levels], [(9, 8)] * 2),
@@ -137,8 +134,6 @@ def test_a_checkpoint_of_another_run_is_refused(untrained):
         with pytest.raises(CheckpointError, match=rf"last\.npz holds policy/{name} as float32 of shape \(2, 2\)"):
             open_run(path, "last")
 
-
-# Agents.
 
 KINDS = {
     "hiro": ("hiro", "point-gather", {"controller_interval": 7}),
@@ -221,9 +216,6 @@ def test_an_agent_acts_as_in_training_without_noise(untrained, name, env, settin
     assert collector.episodes[0][f"{learner.level_names[0]}_return"] == pytest.approx(earned, rel=1e-4)
     assert len(played) == 20
     assert np.ptp([step["action"] for step in played], axis=0).min() > 0.01
-
-
-# Learning.
 
 
 @needs_jax

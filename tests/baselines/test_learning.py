@@ -137,9 +137,6 @@ def test_a_learner_draws_normalises_and_discounts(normalise_inputs):
     assert after.statistics.count == (10 + BATCH if normalise_inputs else 0)
 
 
-# The off-policy correction.
-
-
 def test_candidates_are_the_goal_the_change_and_eight_around_it():
     rng, limit = np.random.default_rng(3), (10.0, 0.5)
     goal, moved = np.array([[4.0, 0.1]] * 4000), np.array([[-2.0, 0.0]] * 4000)

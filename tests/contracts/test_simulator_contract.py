@@ -121,9 +121,6 @@ def test_only_the_simulation_that_blew_up_diverges(make, field, bad):
     assert not host(spoiled.diverged).any()
 
 
-# Whole states.
-
-
 def go_on(simulator, ids, steps=20):
     """Step simulations `ids` with the same controls; return their states after each step [steps, ids, S]."""
     found, rng = [], np.random.default_rng(3)

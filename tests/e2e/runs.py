@@ -87,9 +87,6 @@ def state(path, checkpoint="last"):
     return open_run(str(path), str(checkpoint)).state
 
 
-# What the numbers of a run are.
-
-
 def numbers(path):
     """Return every array of every checkpoint, and every column of the tables but times and rates, by name."""
     found = {}
@@ -114,9 +111,6 @@ def differences(first, second):
         for path in (first, second)
     )
     return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
-
-
-# Runs in processes of their own.
 
 
 class EndedTooSoonError(AssertionError):

@@ -78,9 +78,6 @@ def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pa
     go_on(path, undisturbed)
 
 
-# In this process: a signal at an exact place.
-
-
 @pytest.mark.parametrize("place", ["between generations", "while a checkpoint is written"])
 def test_ctrl_c_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatch, place):
     def save(path, checkpoint):

@@ -72,9 +72,6 @@ def start(num_episodes, seeds=None, make=Car, locate=locate_car, score="return",
     return begin("tested", num_episodes, seeds)
 
 
-# Observations, actions, and the pose of the robot.
-
-
 def test_our_own_point_maze_is_the_same_from_outside():
     inside, outside = make_task("point-maze", 3), begin("gymnasium:shes/PointMaze-v0", 3, [5, 10, 13])
     inside.reset(np.arange(3), [5, 10, 13])
@@ -167,9 +164,6 @@ def test_actions_are_stretched_to_the_bounds_or_chosen(make, controls, actions):
     assert_allclose(start(1, make=make).reader.to_action(np.array(controls)), actions)
 
 
-# Episodes.
-
-
 @pytest.fixture(params=[{}, FREE], ids=["car", "body"])
 def variant(request):
     """Return what the contract of tasks makes its tasks with."""
@@ -258,9 +252,6 @@ def test_an_end_without_a_report_of_the_score_is_refused(kind):
         play(task, np.zeros((1, 3)))
 
 
-# The time limit.
-
-
 def test_the_horizon_is_the_limit_of_the_registration():
     def horizons(env, **settings):
         config = make_config(env, "laptop", {"algorithm": "es", **settings})
@@ -345,9 +336,6 @@ def test_settings_that_do_not_fit_are_refused(settings, message, tmp_path):
     with pytest.raises(ConfigError, match=message):
         shes.train(out=tmp_path / "run", **{"env": "gymnasium:tests/Car-v0", "algorithm": "es", **settings})
     assert list(tmp_path.iterdir()) == []
-
-
-# Failures.
 
 
 @pytest.mark.parametrize(
@@ -455,9 +443,6 @@ def test_a_missing_package_names_the_extra_that_brings_it(name, missing, extra, 
         environment.make(1)
 
 
-# The reader.
-
-
 def test_observations_may_be_of_one_environment_or_several():
     reader, env = start(1).reader, Car()
     observation, info = env.reset(seed=1)
@@ -480,9 +465,6 @@ def test_observations_may_be_of_one_environment_or_several():
     for wrong in (np.zeros(11), np.zeros((2, 8)), {"pose": np.zeros(3)}, None, "car"):
         with pytest.raises(ShapeError, match=r"not an observation of 1 times Dict"):
             reader.rows(wrong, 1)
-
-
-# Names.
 
 
 @pytest.mark.parametrize(

@@ -38,8 +38,6 @@ def test_an_unknown_environment_is_told_the_nearest_name(call):
     assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)
 
 
-# Gymnasium's ids.
-
 SIZES = {
     "AntGather": (50, 50), "AntMaze": (32, 32), "AntPush": (36, 32), "AntFall": (37, 33), "AntFlagrun": (32, 32),
     "PointGather": (25, 25), "PointMaze": (7, 7), "PointPush": (11, 7), "PointFall": (14, 10), "PointFlagrun": (7, 7),
@@ -69,9 +67,6 @@ def test_every_environment_has_its_id_in_both_specifications(monkeypatch):
     monkeypatch.setattr("shes.envs.gymnasium_ids.SPECS_OF", {})
     register_ids("point-corner", Corner.specs)
     assert [each for each in gymnasium.registry if "PointCorner" in each] == ["shes/PointCorner-v0"]
-
-
-# Environments of users.
 
 
 def test_an_environment_may_be_registered_again():

@@ -27,8 +27,6 @@ def flagrun(folder, text, **options):
     return task
 
 
-# What is read.
-
 TENDON = '<tendon><fixed name="t"><joint joint="a" coef="1"/><joint joint="b" coef="-2"/></fixed></tendon>'
 KEYS = '<keyframe><key name="low" qpos="3 2 9 1 0 0 0 .3 -.1"/><key name="up" qpos="0 0 0 .8 0 0 .6 0 .2"/></keyframe>'
 ACTUATORS = {
@@ -154,8 +152,6 @@ def test_worlds_have_the_size_and_mass_of_the_robot(tmp_path):
     assert_allclose(task.position * scale, task.observe()[:, task.position_columns])
     assert_allclose(task.distance, np.hypot(*(np.array([[0.0, 19.0]]) - task.position).T))
 
-
-# What is refused.
 
 MOTOR_A, MESH = '<motor joint="a" ctrlrange="-1 1"/>', '<asset><mesh name="m" file="{}"/></asset>'
 PLAIN = one_joint(MOTOR_A)

@@ -114,9 +114,6 @@ def play(name, num_episodes, steps, spec, reference=None, arrange=launch, **opti
     return task, compare(task, references, steps, arrange)
 
 
-# Episodes.
-
-
 @over()
 def test_a_task_equals_its_reference(name, spec):
     task, ends = play(name, 6, 30, spec)
@@ -154,9 +151,6 @@ def test_success_begins_just_below_its_radius(name, spec):
         assert_array_equal(task.score, [1, 0, 0])
 
 
-# Options.
-
-
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
 @pytest.mark.parametrize(
     ("name", "options", "reference"),
@@ -191,9 +185,6 @@ def test_success_begins_just_below_its_radius(name, spec):
 def test_with_options_a_task_equals_its_reference(name, options, reference, spec):
     num_episodes, steps = (40, 2) if "free_cells" in reference else (3, 12)
     play(name, num_episodes, steps, spec, reference, **options)
-
-
-# Robots and worlds.
 
 
 def test_yaw_equals_the_reference_for_any_rotation():

@@ -75,9 +75,6 @@ def test_what_is_there_is_compared_and_drawn_without_a_run(tmp_path, capsys):
     assert "horizon 500" in capsys.readouterr().out
 
 
-# Stopped and gone on with.
-
-
 @pytest.mark.slow
 @pytest.mark.extras
 @pytest.mark.timeout(600)
@@ -103,9 +100,6 @@ def test_a_stopped_experiment_goes_on_with_the_same_numbers(tmp_path, stop):
         path = f"{row['env']}/{row['group']}/{row['variant']}/seed-{row['seed']}"
         different = [name for name in runs.differences(out / path, undisturbed / path) if "settings" not in name]
         assert different == []  # settings hold the path of the primitive
-
-
-# Whole experiments.
 
 
 @pytest.mark.timeout(900)

@@ -32,9 +32,6 @@ def made(name, scale="laptop", seeds=1):
     return EXPERIMENTS[name](scale, seeds)
 
 
-# Every experiment.
-
-
 @pytest.mark.parametrize(("name", "scale"), PLACES)
 def test_a_design_is_complete_and_its_settings_are_allowed(name, scale, tmp_path):
     design = made(name, scale)
@@ -86,9 +83,6 @@ def test_the_papers_experiments_share_runs():
     own = {name for name, _ in names["fig3"] - names["fig5"]}
     assert own == {name for name, _ in names["fig3"] if "/hiro/" in name or "/steps/" in name}
     assert EXPERIMENTS["table1"] is EXPERIMENTS["fig3"]
-
-
-# The paper.
 
 
 @pytest.mark.parametrize("env", ["ant-gather", "ant-maze", "ant-push"])

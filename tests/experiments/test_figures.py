@@ -92,9 +92,6 @@ def test_a_transferred_run_begins_after_its_primitive(x):
     assert np.array(span.get_data()).tolist() == [[0, 0.5], [2, 2]]
 
 
-# Figure 6.
-
-
 def test_the_picture_has_every_kind_of_row_and_the_authors_times():
     rows = read_rows(STORED)
     [axis] = speedup_figure(rows).axes

@@ -46,9 +46,6 @@ def made(out, *members, is_large=True, **options):
     return failed, {name: without_times(each) for name, each in read_results(chosen, out).items()}
 
 
-# One run.
-
-
 def test_a_run_is_an_ordinary_one_and_a_row(finished, tiny_run):
     path, summary = finished / run().name, read_summary(run(), finished)
     assert runs.differences(tiny_run, path) == []
@@ -108,9 +105,6 @@ def test_a_time_limit_of_a_run_counts_all_of_its_parts(tmp_path):
     shorter = run(minutes=1e-4, generations=100_000)  # it has been trained for longer
     finish(shorter, tmp_path, 1)
     assert read_summary(shorter, tmp_path).row["generations"] == generations
-
-
-# All runs.
 
 
 def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeypatch):
