@@ -19,10 +19,11 @@ def play(task: Task, mlp: MLP, policies: np.ndarray, seeds: np.ndarray) -> np.nd
     episodes = np.arange(task.num_episodes)
     high = np.array([element.high for element in task.observation_spec])
     scale = np.where(np.isfinite(high), high, 10.0)  # positions, in metres, reach 12
+    layers = mlp.layers(policies)
     task.reset(episodes, np.tile(seeds, len(policies)))
     for _ in range(STEPS):
         observation = (task.observe() / scale).astype(np.float32)
-        action = mlp.act(policies, observation.reshape(len(policies), len(seeds), -1))
+        action = mlp.forward(layers, observation.reshape(len(policies), len(seeds), -1))
         task.step(episodes, action.reshape(task.num_episodes, -1) * task.control_limit)
     return task.running_return.reshape(len(policies), len(seeds)).mean(axis=1)
 

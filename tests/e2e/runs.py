@@ -165,8 +165,10 @@ def generation_under_way(path):
     return int(last[1]) if last and last[2] == "begins" else None
 
 
-def stop_inside_generation(process, path, generation):
+def stop_inside_generation(process, path, generation, send=os.kill):
     """Stop (SIGSTOP) the run's main process while it is inside `generation` or a later one, and return which.
+
+    With `os.killpg` the workers stop and go on with it.
 
     The process runs for moments only, from its first generation on: else it ends before a test on a busy machine has
     looked twice. A stopped process writes no log, so what the log says then is where it stands.
@@ -177,12 +179,12 @@ def stop_inside_generation(process, path, generation):
         assert not process.poll(), process.communicate()
         if process.poll() == 0:
             raise EndedTooSoonError(log_lines(path))
-        os.kill(process.pid, signal.SIGSTOP)
+        send(process.pid, signal.SIGSTOP)
         wait_until(lambda: psutil.Process(process.pid).status() in standing, "the process stops")
         inside = generation_under_way(path)
         if inside is not None and inside >= generation:
             return inside
-        os.kill(process.pid, signal.SIGCONT)
+        send(process.pid, signal.SIGCONT)
         time.sleep(0.02)
 
 

@@ -64,16 +64,16 @@ def test_workers_killed_inside_generations_change_no_number(started, undisturbed
     killed = []
     for generation in generations:
         try:
-            runs.stop_inside_generation(process, path, generation)
+            runs.stop_inside_generation(process, path, generation, os.killpg)
         except runs.EndedTooSoonError:
             break
         worker, *others = runs.workers_of(process.pid)
         os.kill(worker, signal.SIGKILL)
-        for pid in others:  # so that the run cannot end before they go on
-            os.kill(pid, signal.SIGSTOP)
-        os.kill(process.pid, signal.SIGCONT)
         killed.append(worker)
-        workers = runs.wait_until(lambda: two_but(killed, process.pid), "there are two workers again")
+        os.kill(process.pid, signal.SIGCONT)  # the other one stands, so that the run cannot end before it goes on
+        workers = runs.wait_until(lambda: two_but(killed, process), "there are two workers again")
+        if process.poll() is not None:  # it had every result
+            break
         assert worker not in [child.pid for child in psutil.Process(process.pid).children()]  # not even as a zombie
         for pid in others:
             os.kill(pid, signal.SIGCONT)
@@ -83,14 +83,14 @@ def test_workers_killed_inside_generations_change_no_number(started, undisturbed
     runs.assert_gone(process.pid, workers)
     lost = re.compile(r"worker (\d+) died \(killed by SIGKILL\); (\d+) tasks are done again")
     found = [match.groups() for match in map(lost.fullmatch, runs.log_lines(path)) if match]
-    assert [int(worker) for worker, _ in found] == killed
+    assert [int(worker) for worker, _ in found] in (killed, killed[:-1])
     # A worker that still starts, or has just finished its share, has no task to lose.
     assert len(generations) == 1 or any(tasks != "0" for _, tasks in found)
-    assert len(lost.findall(out)) == len(killed)  # and it is said
+    assert len(lost.findall(out)) == len(found)  # and it is said
     assert runs.differences(undisturbed, path) == []
 
 
-def two_but(killed, main_pid):
-    """Return the workers of a run if there are two besides those that were killed."""
-    found = set(runs.workers_of(main_pid)) - set(killed)
-    return found if len(found) == 2 else None
+def two_but(killed, process):
+    """Return the workers of a run if there are two besides those that were killed, or those if it has ended."""
+    found = set(runs.workers_of(process.pid)) - set(killed)
+    return found if len(found) == 2 else killed if process.poll() is not None else None
