@@ -19,7 +19,7 @@ MIN_VERSION := (3, 11)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo demo-point test test-extras test-all test-gpu lint type imports docs bench clean FORCE
+.PHONY: help setup demo test test-extras test-all test-gpu lint type imports docs bench clean FORCE
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -61,9 +61,6 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: $(STAMP) ## an ant learns to walk and to collect food: under four minutes
 	$(DEMO_COMMAND)
-
-demo-point: $(STAMP) ## the same with a point robot: three minutes
-	$(DEMO_COMMAND) point
 
 test: $(STAMP) ## fast tests, no extras: about 2 minutes on 2 idle cores
 	$(PYTEST) -m "not slow and not extras and not gpu and not cluster and not render and not hiro"

@@ -65,8 +65,8 @@ def on_one_core(core: int | None = None) -> Iterator[None]:
 def free_memory() -> int:
     """Return the bytes of memory that this process may still use, without swap.
 
-    It is the least of the memory available on the machine, the limit of the control group (a container, a cluster's
-    job) and the limit of the address space (`ulimit -v`).
+    It is the least of three: the memory available on the machine, the limit of the control group (a container, a
+    cluster's job) and that of the address space (`ulimit -v`).
     """
     available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     with suppress(OSError, StopIteration):  # Linux alone has these files

@@ -39,7 +39,7 @@ class NotThere:
     def __reduce__(self):
         return __import__, ("own",)
 
-mpi._serve_rank = NotThere()
+mpi.serve_rank = NotThere()
 with mpi.MpiBackend(Worker, 2) as backend:
     backend.broadcast(1)
 """

@@ -4,7 +4,6 @@ import re
 import sys
 import types
 from pathlib import Path
-from time import sleep
 
 import psutil
 import pytest
@@ -134,13 +133,17 @@ def test_a_node_that_joins_in_mid_generation_gets_work(free_cluster):
 
 @pytest.mark.extras
 def test_a_lost_node_and_a_resume_without_it_change_no_number(free_cluster, tmp_path, monkeypatch):
-    wait, nodes = RayBackend.wait, list(free_cluster.worker_nodes)
+    ray, wait, nodes = pytest.importorskip("ray"), RayBackend.wait, list(free_cluster.worker_nodes)
 
     def end_node_and_wait(backend, timeout_s):
         if nodes and any(worker.tasks and is_on_last(worker) for worker in backend.workers):
+            alive = len(alive_nodes())
             free_cluster.remove_node(nodes.pop(), allow_graceful=False)
-            sleep(3)  # Ray tells of the loss a while later; until then the other node may have done all generations
+            runs.wait_until(lambda: len(alive_nodes()) < alive, "Ray knows that the node is lost")
         return wait(backend, timeout_s)
+
+    def alive_nodes():
+        return [node for node in ray.nodes() if node["Alive"]]
 
     def is_on_last(worker):
         return psutil.Process(int(worker.name.partition(" ")[0])).environ()["SHES_TEST_NODE"] == "1"

@@ -106,7 +106,7 @@ def test_runs_of_two_robots_are_not_repetitions(robot, trained, other, tmp_path)
         shes.load(paths[1])
 
 
-def test_robots_have_names_algorithms_and_gymnasiums_environments(robot):
+def test_robots_have_names_algorithms_and_environments(robot):
     for body in ("ant", "point"):
         own, named = make_config(f"{body}-gather", "laptop"), make_config("gather", "laptop", {"robot": body})
         assert named.to_dict() == own.to_dict()

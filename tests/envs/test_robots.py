@@ -153,6 +153,11 @@ def test_worlds_have_the_size_and_mass_of_the_robot(tmp_path):
     assert_allclose(task.distance, np.hypot(*(np.array([[0.0, 19.0]]) - task.position).T))
 
 
+def test_motors_name_joints_as_no_other_is_named(tmp_path):
+    text = one_joint("").replace('name="a"', 'name="joint_2"').replace('name="b" ', "")
+    assert len(set(robot_of(tmp_path, text, motors=3.0).controls)) == 2
+
+
 MOTOR_A, MESH = '<motor joint="a" ctrlrange="-1 1"/>', '<asset><mesh name="m" file="{}"/></asset>'
 PLAIN = one_joint(MOTOR_A)
 MANY = "".join(f'<body><joint name="j{i}"/><geom size=".01"/></body>' for i in range(201))

@@ -101,7 +101,7 @@ def test_an_environment_moves_as_its_golden_trajectory_says(variant):
     assert rounding < TOLERANCE / 100 < 10 * TOLERANCE < thousandth  # it is seen, and rounding is not
 
 
-def test_golden_trajectories_are_of_environments_and_hit_something():
+def test_golden_trajectories_hit_something_in_every_environment():
     """Otherwise they would not see a change of Gather's rewards, or of the contacts with walls and blocks."""
     assert {*FOLDER.glob("trajectory_*.json")} == {golden_file(variant) for variant in VARIANTS}
     assert any(np.any(load(each)["rewards"]) for each in VARIANTS if each.name.endswith("-gather"))

@@ -338,3 +338,9 @@ def test_a_setting_without_effect_is_refused_with_what_helps(env, settings, mess
     if helps is not None:
         helped = {**settings, **helps}
         assert {name: make_config(env, "laptop", helped).values[name] for name in helped} == helped
+
+
+def test_a_default_that_has_no_effect_may_be_given():
+    assert make_config(
+        "point-gather", "smoke", {"nconmax": None, "deterministic": False, "primitive_checkpoint": "best"}
+    )

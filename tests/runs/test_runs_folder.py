@@ -77,11 +77,15 @@ def test_a_folder_goes_on_with_more_generations_and_seeds(tmp_path, capsys):
     assert train(path, "--seed", "4", "5", generations=1) == 0
     assert train(path, "--seed", "5", "6", generations=2) == 0
     assert generations(path) == {"seed-4": 1, "seed-5": 2, "seed-6": 2}
-    assert main(["resume", str(path), "--generations", "3"]) == 0
-    assert set(generations(path).values()) == {3}
+    assert "seed 7 is given twice" in refused(capsys, "train", "point-gather", "--seed", "7", "7")
+    assert main(["resume", str(path), "--generations", "5"]) == 0
+    assert set(generations(path).values()) == {5}
     record = json.loads((path / "runs.json").read_text())
+    record["runs"]["seed-4"]["run"]["generations"] = 3
+    (path / "runs.json").write_text(json.dumps(record))
+    assert refused(capsys, "resume", path).endswith(f"have ended. To go on: shes resume {path} --generations 10")
     for config in record["runs"].values():
-        config["run"] |= {"minutes": 1e-9, "generations": 4}
+        config["run"] |= {"minutes": 1e-9, "generations": 6}
     (path / "runs.json").write_text(json.dumps(record))
     for table in path.glob("*/progress.csv"):  # as if each run had taken an hour: minutes are those of each
         *rows, last = table.read_text().splitlines()
@@ -89,7 +93,7 @@ def test_a_folder_goes_on_with_more_generations_and_seeds(tmp_path, capsys):
         table.write_text("\n".join([*rows, ",".join([*cells[:2], "3600.0", *cells[3:]])]) + "\n")
     assert f"have ended. To go on: shes resume {path} --minutes" in refused(capsys, "resume", path)
     assert main(["resume", str(path), "--minutes", "10"]) == 0
-    assert set(generations(path).values()) == {4}
+    assert set(generations(path).values()) == {6}
 
 
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch, capsys):

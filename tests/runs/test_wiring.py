@@ -211,7 +211,7 @@ GROUPS: dict[str, Group] = {
         "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7]),
     }, env="point-push", common={**SHORT, "primitive_view": "egocentric", "controller_interval": 5}),
     "maze": Group({
-        "waypoints": Row((8.0, 0.0), batches(lambda b: b._num_waypoints), [1, 0]),
+        "waypoints": Row((8.0, 0.0), batches(lambda b: b.num_waypoints), [1, 0]),
         "target": Row((1.0, 2.0), lambda r: batches(lambda b: np.unique(b.target, axis=0).tolist())(r)[0], [[1, 2]]),
         "evaluation_target": Row((2.0, 1.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [2, 1]),
     }, env="point-maze", common=SHORT),
@@ -221,7 +221,7 @@ GROUPS: dict[str, Group] = {
     }, env="point-maze", common=SHORT),
     "ant": Group({
         "symmetry": Row("rotation", design(lambda d: d.symmetry and len(d.symmetry.view_index)), [4, 4]),
-        "max_tilt": Row(60.0, batches(lambda b: b._min_cos_tilt and round(b._min_cos_tilt, 9)), [0.5, None]),
+        "max_tilt": Row(60.0, batches(lambda b: b.min_cos_tilt and round(b.min_cos_tilt, 9)), [0.5, None]),
     }, env="ant-gather", common=BRIEF),
     "contacts": Group({
         "stiff_contacts": Row(True, batches(lambda b: set(b.sim.model.geom_solimp[:, 0])), [{0.995}] * 2),

@@ -116,8 +116,8 @@ class OneHotOutput(ControllerOutput):
     Deviation: the authors add 1/8 to the angle in radians, which rotates every goal 7 degrees to the left, so that none
     is straight ahead. This offset is omitted.
 
-    Deviation: in Gather the authors use the angles of its ten sensors, 36 degrees apart, with eight outputs, so that no
-    goal lies within the 108 degrees behind to the left. Here all tasks have the same eight directions.
+    Deviation: in Gather the authors use the angles of its ten sensors, 36 degrees apart, with eight outputs. No goal
+    lies within the 108 degrees behind to the left. Here all tasks have the same eight directions.
     """
 
     size = 8

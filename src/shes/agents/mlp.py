@@ -3,9 +3,9 @@
 A level has N = P * R rows: P lanes of R episodes. The episodes of a lane share one set of parameters, or belong to
 several members that perturb the mean by the same noise.
 
-Source: the SHES authors' code: tanh after every layer, including the output.
-In a stacked matmul, the results of a policy are bit-identical whatever other policies are stacked with it, as long as
-its number of rows stays the same. Callers therefore never change the row count of a policy.
+Source: the SHES authors' code: tanh after every layer, including the output. In a stacked matmul, the results of a
+policy do not depend on the other policies, as long as its number of rows stays the same. Callers therefore never change
+the row count of a policy.
 """
 
 from __future__ import annotations

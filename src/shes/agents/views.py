@@ -105,8 +105,8 @@ class ColumnsView(View):
 class EgocentricView(View):
     """The robot's state in its own frame, without its position, followed by other observed values.
 
-    Deviation: the paper's policies see the torso's quaternion, and velocities in the world frame, so that a network has
-    to learn the rotation before it can learn to walk.
+    Deviation: the paper's policies see the torso's quaternion, and velocities in the world frame. A network has to
+    learn the rotation before it can learn to walk.
     """
 
     is_egocentric = True

@@ -1,7 +1,7 @@
 """The mpi backend: one worker in every rank but the first, which `python -m mpi4py.futures` starts as a pool.
 
 `mpiexec -n 48 python -m mpi4py.futures -m shes train ... --backend mpi`: mpi4py gives each rank one long function,
-`_serve_rank`. The state is broadcast along a tree. A rank that dies ends the job: that is MPI.
+`serve_rank`. The state is broadcast along a tree. A rank that dies ends the job: that is MPI.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from shes.errors import ConfigError, MissingExtraError, WorkerError
 _TAG = 4021  # of all messages of this backend
 # Between two looks for a message: a rank that waits leaves its core to others.
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 1e-6, 4e-3
-_NAP_OF_POOL_S = 0.1  # mpi4py's, which looks for the end of `_serve_rank` during the whole run
+_NAP_OF_POOL_S = 0.1  # mpi4py's, which looks for the end of `serve_rank` during the whole run
 _HELD: list[MpiBackend] = []  # the backend that has the ranks, if any
 
 
@@ -65,7 +65,7 @@ class MpiBackend(SupervisingBackend):
             raise ConfigError("another backend mpi of this program has the ranks. Close it first.")
         _HELD.append(self)
         self._pool = self._futures.MPIPoolExecutor(main=False, backoff=_NAP_OF_POOL_S)
-        self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
+        self._served = [self._pool.submit(serve_rank, self._factory) for _ in range(self.num_workers)]
         self.workers += [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
 
     def broadcast(self, state: Any) -> None:
@@ -186,5 +186,6 @@ def _nap_until(is_there: Callable[[], bool], timeout_s: float = inf) -> None:
         nap_s = min(2 * nap_s, _LONGEST_NAP_S)
 
 
-def _serve_rank(factory: bytes) -> None:
+def serve_rank(factory: bytes) -> None:
+    """Do the work of a rank until the main process closes it."""
     serve(_Parent(), factory)

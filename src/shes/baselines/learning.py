@@ -261,8 +261,9 @@ def candidates(
 ) -> FloatArray:
     """Return the goals [B, J, G] among which the off-policy correction chooses.
 
-    They are the original `goal` [B, G], the change of the coordinates `moved` [B, G] in the interval, and goals drawn
-    around that change with half the half range as standard deviation, all clipped to the range.
+    The first is the original `goal` [B, G], the second the change of the coordinates `moved` [B, G] in the interval.
+    The others are drawn around that change, with half the half range as standard deviation. All are clipped to the
+    range.
     """
     limit = np.asarray(half_range)
     noise = rng.standard_normal((len(goal), NUM_CANDIDATES - 2, len(limit)))

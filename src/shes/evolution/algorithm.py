@@ -71,8 +71,8 @@ def evolve(
             results, signs, noise_index = source.results, source.signs[:, :, i], source.noise_index[i]
             statistics = level.statistics.merge(**vars(results.statistics[i])) if learns else level.statistics
             observed = replace(level, statistics=statistics)
+            # lines 4 and 5: theta += alpha / n * sum(f * epsilon), where f is ranked and shaped.
             fitness = rule.shape(results.fitness[i], signs, results.has_fallen.mean(axis=1))
-            # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
             updates.append(update_level(observed, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
         state = replace(
             state,

@@ -136,7 +136,7 @@ def check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."
             )
-        needed = [(need, config.values[need.other]) for need in setting.all_of(Needs)]
+        needed = [(need, config.values[need.other]) for need in setting.all_of(Needs) if asked[name] != setting.default]
         if not needed or any(value in need.values if need.values else value is not None for need, value in needed):
             continue
         first, found = needed[0][0], ", ".join(f"{need.other} {value!r}" for need, value in needed)

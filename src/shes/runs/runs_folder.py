@@ -93,7 +93,8 @@ def vary(
         raise ConfigError(f"{min(twice)} is both given and swept. Omit one.")
     if not seeds:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
-    seeds = list(dict.fromkeys(seeds))
+    if twice := [seed for seed in seeds if seeds.count(seed) > 1]:
+        raise ConfigError(f"seed {twice[0]} is given twice: it would be the same run. Omit one.")
     count = len(seeds) * math.prod(map(len, sweep.values()))
     if count > _MOST_RUNS:
         raise ConfigError(f"these are {count:,} runs; at most {_MOST_RUNS:,} are allowed. Sweep fewer values.")
@@ -128,22 +129,23 @@ class RunsFolder:
         """The runs that have not ended, in order."""
         return [name for name in self.configs if self._end(name) is None]
 
-    def _end(self, name: str) -> str | None:
-        """Return the limit that a run has reached, as a flag that lets it go on; None if it has not ended."""
+    def _end(self, name: str) -> tuple[str, float] | None:
+        """Return a flag and its value that let a run go on which has ended; None if it has not."""
         folder, run = RunFolder(self.path / name), self.configs[name].run
         try:
             last = folder.load("last", with_state=False)
             if run.is_over(last.generation, last.env_steps):
-                return f"--generations {2 * run.generations}"
-            return f"--minutes {run.minutes:g}" if run.minutes and trained_minutes(folder) >= run.minutes else None
+                return "--generations", 2 * run.generations
+            return ("--minutes", run.minutes) if run.minutes and trained_minutes(folder) >= run.minutes else None
         except ShesError:  # it has not begun, or is damaged, which shows when it goes on
             return None
 
     @property
     def how_to_go_on(self) -> str:
         """The command that goes on with runs that have ended, those out of time if there are any."""
-        end = max(filter(None, map(self._end, self.configs)), default="")
-        return f"shes resume {shlex.quote(str(self.path))} {end}"
+        ends = filter(None, map(self._end, self.configs))
+        limit = [f"{flag} {value:.15g}" for flag, value in sorted(ends)[-1:]]
+        return " ".join(["shes resume", shlex.quote(str(self.path)), *limit])
 
     @staticmethod
     def is_at(path: Path | str) -> bool:

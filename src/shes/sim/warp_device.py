@@ -64,8 +64,8 @@ class WarpDevice:
     def __init__(self, name: str) -> None:
         """Open `warp-cpu` or `cuda`.
 
-        On `cuda`, CuPy's current stream in this thread becomes Warp's, so that the work of both runs in the order in
-        which it was issued, without waiting.
+        On `cuda`, CuPy's current stream in this thread becomes Warp's. The work of both then runs in the order in which
+        it was issued, without waiting.
         """
         warp, _ = load_warp()
         self.name = name

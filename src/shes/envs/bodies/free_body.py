@@ -60,8 +60,8 @@ class FreeBody(Body):
     def frame_angle(self, qpos: F64Array) -> F64Array:
         """Return the twist of the root about the vertical [N] in radians.
 
-        Deviation: not the heading. Seen from above, the x and y axes of a tilted root are not a quarter turn apart, so
-        the frame of the heading violates a symmetry of quarter turns to second order in the tilt.
+        Deviation: not the heading. Seen from above, the x and y axes of a tilted root are not a quarter turn apart. The
+        frame of the heading therefore violates a symmetry of quarter turns, to second order in the tilt.
         """
         return 2 * np.arctan2(qpos[:, 6], qpos[:, 3])
 

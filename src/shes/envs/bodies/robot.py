@@ -129,9 +129,13 @@ class Robot(FreeBody):
             return spec, root
         if len(spec.actuators):
             raise ConfigError(f"robot {self.name!r} has actuators of its own. Omit --motors.")
+        names = {joint.name for joint in spec.joints}
         for number, joint in enumerate(root.find_all("joint")):
             if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                joint.name = joint.name or f"joint_{number}"
+                name = joint.name or f"joint_{number}"
+                while not joint.name and name in names:
+                    name += "_"
+                joint.name = name
                 add_motor(spec, joint.name, torque)
         return spec, root
 

@@ -51,7 +51,7 @@ class Flagrun(Task):
 
     The task trains a primitive alone, under a random controller. A goal moves after the reward of a step is computed,
     so an observation always shows the goal of the next action. In the step in which the goal moves, reward and success
-    refer to the old goal, and `distance`, also in `info`, refers to the new one.
+    refer to the old goal; `distance`, also in `info`, refers to the new one.
 
     Nachum et al. 2018 have no such task: `hiro` is `shes` with RK4 and unclipped velocities, to train a primitive for
     the hiro tasks.

@@ -89,7 +89,7 @@ class TargetTask(Task):
         self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3], in units of `scale`."""
         self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
-        self.falls_end = self.ends_early = self._min_cos_tilt is not None
+        self.falls_end = self.ends_early = self.min_cos_tilt is not None
         if self.options.spec == "hiro":
             self.primitive_view = self.primitive_view[: -len(self.own_target)]
         self.set_way(None)
@@ -100,7 +100,7 @@ class TargetTask(Task):
         points = own if way is None else way.ravel().tolist()
         ends = np.reshape([*points, *(self.options.target or self.own_target)], (-1, len(self.own_target)))
         legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
-        self._num_waypoints = len(legs)
+        self.num_waypoints = len(legs)
         self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
         self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
         self._next[:] = 0  # rows that are not reset may have passed more points than there are now
@@ -178,7 +178,7 @@ class TargetTask(Task):
     @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
-        return np.where(self.terminated & (self._num_waypoints == 0), self.reward, 0.0)
+        return np.where(self.terminated & (self.num_waypoints == 0), self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:
@@ -213,12 +213,12 @@ class TargetTask(Task):
 
     def update_features(self) -> F64Array:
         """Return the reward [N]: minus the distance to the target, or the progress through the waypoints."""
-        if not self._num_waypoints:
+        if not self.num_waypoints:
             return -self.distance
         distance = self._distance_to(self._way[self._next])
-        beyond = self._distance_to(self._way[np.minimum(self._next + 1, self._num_waypoints)])
+        beyond = self._distance_to(self._way[np.minimum(self._next + 1, self.num_waypoints)])
         passed = (distance < PASSED_DISTANCE_M) | ((distance < BYPASSED_DISTANCE_M) & (beyond < distance))
-        self._next += passed & (self._next < self._num_waypoints)
+        self._next += passed & (self._next < self.num_waypoints)
         left = self._distance_to(self._way[self._next]) + self._way_beyond[self._next]
         progress = np.where(np.isnan(self._left), 0.0, self._left - left)
         self._left = left
@@ -286,8 +286,8 @@ class Maze(TargetTask):
 class Push(TargetTask):
     """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it.
 
-    The block weighs 0.2 g, as published, which makes its contacts soft: when rammed against a wall, a point sinks in by
-    up to 0.35 m (its centre) and an ant's foot by up to 0.54 m, and is then pushed out again.
+    The block weighs 0.2 g, as published, which makes its contacts soft: when rammed against a wall, a point's centre
+    sinks in by up to 0.35 m and an ant's foot by up to 0.54 m. Then it is pushed out again.
     """
 
     name: ClassVar[str] = "push"

@@ -166,7 +166,7 @@ class Task(EpisodeBatch):
         max_tilt: float | None = getattr(options, "max_tilt", None)
         if max_tilt is not None:
             body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
-        self._min_cos_tilt = None if max_tilt is None or options.evaluation else float(np.cos(np.deg2rad(max_tilt)))
+        self.min_cos_tilt = None if max_tilt is None or options.evaluation else float(np.cos(np.deg2rad(max_tilt)))
         self.allocate()
 
     def allocate(self) -> None:
@@ -250,9 +250,9 @@ class Task(EpisodeBatch):
     def is_down(self) -> BoolArray:
         """Return whether robots lie [N], by the rule of the body or by `max_tilt`, even if that ends no episode."""
         fallen = self.body.fallen(self.sim.qpos, self.ground_m * self.scale)
-        if self._min_cos_tilt is None:
+        if self.min_cos_tilt is None:
             return fallen
-        return fallen | (self.body.cos_tilt(self.sim.qpos) < self._min_cos_tilt)
+        return fallen | (self.body.cos_tilt(self.sim.qpos) < self.min_cos_tilt)
 
     @property
     def counts(self) -> dict[str, IntArray]:
