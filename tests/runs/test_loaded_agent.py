@@ -36,8 +36,8 @@ def test_wrong_arguments_are_refused(tiny_run):
         agent.act(np.zeros(25))
     with pytest.raises(PolicyError, match="the observation holds NaN or infinity"):
         agent.act(np.full((2, 25), np.nan))
-    for wrong in (-1, 2):
-        with pytest.raises(ConfigError, match=f"env must be from 0 to 1, got {wrong}"):
+    for wrong in (-1, 2, np.array([True, False])):
+        with pytest.raises(ConfigError, match=f"of an environment, 0 to 1, got {re.escape(repr(wrong))}"):
             agent.reset(wrong)
 
 

@@ -16,7 +16,7 @@ from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, build_algorithm, open_run
 from shes.runs.config import TrainConfig
 from shes.settings import Ge, checked
-from shes.types import F64Array, FloatArray
+from shes.types import F64Array, FloatArray, is_whole
 
 
 class Agent:
@@ -80,8 +80,8 @@ class Agent:
 
     def reset(self, env: int | None = None) -> None:
         """Begin a new episode in environment `env`, or in all: the next `act` sets new goals."""
-        if env is not None and not 0 <= env < self.num_envs:
-            raise ConfigError(f"env must be from 0 to {self.num_envs - 1}, got {env}: there are {self.num_envs}.")
+        if env is not None and not (is_whole(env) and 0 <= env < self.num_envs):
+            raise ConfigError(f"env must be the number of an environment, 0 to {self.num_envs - 1}, got {env!r}.")
         for number in range(self.num_envs) if env is None else (env,):
             self._agent.start(np.array([number]))
 
