@@ -55,6 +55,8 @@ def test_train_resume_evaluate_and_load_go_together(tiny_run, tmp_path):
     settings = {**runs.TINY, "seed": np.int64(5), "generations": np.int32(2), "hidden": hidden}
     half = shes.train("point-gather", out=tmp_path / "half", **settings)
     assert hidden == [4]
+    with pytest.raises(ConfigError, match=r"seed must be one number, got \[1, 2\]. Call shes.train for each"):
+        shes.train("point-gather", seed=[1, 2])
     resumed = shes.resume(str(half.path), generations=4)
     assert resumed.generation == 4
     assert runs.differences(tiny_run, resumed.path) == []

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
@@ -101,6 +103,8 @@ def train(
         PolicyError: A policy returned NaN.
         DivergenceError: Every episode of ten generations in a row diverged.
     """
+    if np.ndim(seed := settings.get("seed", 0)):
+        raise ConfigError(f"seed must be one number, got {seed!r}. Call shes.train for each, or use --seed 1 2 3.")
     with with_display(listener, progress) as heard:
         return start_run(make_config(env, preset, {**settings, "like": like}), out, heard)
 
