@@ -45,7 +45,7 @@ class Walk:
 
     @cached_property
     def reader(self) -> Any:
-        """What reads position and goal from observations."""
+        """Reads positions and goals from observations."""
         task = self.algorithm.problem.make_task(is_evaluation=True)
         task.close()
         return task.reader

@@ -30,8 +30,6 @@ _HOW_TO_REGISTER = (
     "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: shes.register_environment, "
     "shes.register_external, or --import MODULE."
 )
-
-
 _REST_S = 2.0  # seconds for which a robot is watched
 
 

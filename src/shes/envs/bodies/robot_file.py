@@ -37,7 +37,7 @@ class RobotFile(NamedTuple):
     content: bytes
     """Everything, to draw the robot."""
     physics: bytes
-    """What its physics needs: all but visual shapes and sensors."""
+    """The same without visual shapes and sensors, which the physics does not need."""
 
     @property
     def label(self) -> str:
