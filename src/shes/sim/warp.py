@@ -31,6 +31,7 @@ _CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.
 """Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
 _CONTACTS_OF_OTHERS = 8
 _TOUCHES_OF_OTHERS = 3  # geoms at once: a block touches the ground and two walls
+_ROW_FIELDS = ("J", "type", "id", "pos", "margin", "D", "vel", "aref", "frictionloss")
 
 
 def default_sizes(model: mujoco.MjModel) -> tuple[int, int]:
@@ -125,6 +126,13 @@ class WarpSimulator(Simulator):
         arrays.wanted_ctrl = wp.zeros((sims, self.model.nu), dtype=wp.float32)
         arrays.kept = wp.zeros((sims, self.model.nq + 2 * self.model.nv + 1), dtype=wp.float32)
         arrays.active, arrays.diverged = (wp.zeros(sims, dtype=wp.bool) for _ in range(2))
+        self._rows = rows = self._kernels.Rows()
+        for name in ("type", "id"):
+            setattr(rows, name, getattr(data.efc, name))
+        for name in ("geom", "geomcollisionid", "efc_address"):
+            setattr(rows, name, getattr(data.contact, name))
+        rows.nefc, rows.places = data.nefc, wp.zeros((sims, self.njmax), dtype=wp.int32)
+        self._kept_rows = wp.zeros(data.efc.J.shape, dtype=wp.int32)
         self._peak_constraints = wp.zeros(sims, dtype=wp.int32)
         self._peak_contacts = wp.zeros(1, dtype=wp.int32)
         self.qpos, self.qvel, self.ctrl = view(arrays.qpos), view(arrays.qvel), view(arrays.wanted_ctrl)
@@ -197,10 +205,20 @@ class WarpSimulator(Simulator):
             self._launch_kernel(kernels.check_substep, arrays)
         self._launch_kernel(kernels.end_control_step, arrays)
 
-    def _watch(self, _model: Any, data: Any) -> None:
-        """Record the use of the buffers. mujoco-warp calls this in every evaluation of the dynamics, RK4's included."""
+    def _watch(self, model: Any, data: Any) -> None:
+        """Record the use of the buffers, and order rows if `deterministic`.
+
+        mujoco-warp calls this after making constraints, in every evaluation of the dynamics, RK4's included.
+        """
         counts = [data.nefc, data.nacon, data.ncollision, self._peak_constraints, self._peak_contacts]
         self._launch_kernel(self._kernels.watch_buffers, counts)
+        if model.opt.deterministic and not model.is_sparse:
+            self._warp.launch(self._kernels.find_places, dim=self._rows.places.shape, inputs=[self._rows])
+            for array in (getattr(data.efc, name) for name in _ROW_FIELDS):
+                shape = (*array.shape, 1)[:3]
+                values = self._warp.array(ptr=array.ptr, dtype=self._warp.int32, shape=shape, device=array.device)
+                arguments = [self._rows, values, self._kept_rows]
+                self._warp.launch(self._kernels.move_rows, dim=(self.num_sims, shape[2]), inputs=arguments)
 
     def align_tangents(self, model: Any, data: Any) -> None:
         """Align the tangents of capsule contacts with MuJoCo in C. mujoco-warp calls this after collision detection."""

@@ -12,11 +12,13 @@ from __future__ import annotations
 import mujoco
 import warp as wp
 
-__all__ = ["align_capsules", "begin_control_step", "check_substep", "end_control_step", "watch_buffers"]
+__all__ = ["align_capsules", "begin_control_step", "check_substep", "end_control_step", "find_places", "move_rows"]
+__all__ += ["watch_buffers"]
 
 _MAX_VALUE = wp.constant(wp.float32(mujoco.mjMAXVAL))
 _PLANE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_PLANE)))
 _CAPSULE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_CAPSULE)))
+_CONTACT = wp.constant(wp.int32(int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)))  # the first of their types
 _MIN_LENGTH = wp.constant(wp.float32(1e-6))
 """Least angle in radians between a capsule and the plane's normal at which its contact is realigned."""
 
@@ -173,3 +175,59 @@ def align_capsules(
     frames[contact] = wp.mat33(
         normal[0], normal[1], normal[2], tangent[0], tangent[1], tangent[2], other[0], other[1], other[2]
     )
+
+
+@wp.struct
+class Rows:
+    """The constraint rows of N simulations, in mujoco-warp's own arrays, and the place that each row moves to."""
+
+    nefc: wp.array[wp.int32]
+    type: wp.array2d[wp.int32]
+    id: wp.array2d[wp.int32]
+    geom: wp.array[wp.vec2i]
+    geomcollisionid: wp.array[wp.int32]
+    efc_address: wp.array2d[wp.int32]
+    places: wp.array2d[wp.int32]
+
+
+@wp.func
+def _key(rows: Rows, sim: wp.int32, row: wp.int32) -> wp.int64:
+    """Return a row's type and object. The object of a contact is its geoms, and its number among their contacts."""
+    key = wp.int64(rows.id[sim, row])
+    if rows.type[sim, row] >= _CONTACT:
+        pair = rows.geom[rows.id[sim, row]]
+        key = (wp.int64(pair[0]) << wp.int64(36)) + (wp.int64(pair[1]) << wp.int64(16))
+        key += wp.int64(rows.geomcollisionid[rows.id[sim, row]])
+    return (wp.int64(rows.type[sim, row]) << wp.int64(56)) + key
+
+
+@wp.kernel(enable_backward=False)
+def find_places(rows: Rows) -> None:
+    """Find the places of rows in the order of their keys. Rows with the same key stay as they are."""
+    sim, row = wp.tid()
+    num_rows = wp.min(rows.nefc[sim], rows.places.shape[1])
+    if row >= num_rows:
+        return
+    key = _key(rows, sim, row)
+    place = wp.int32(0)
+    offset = wp.int32(0)
+    for other in range(num_rows):
+        other_key = _key(rows, sim, other)
+        if other_key < key:
+            place += 1
+        elif other_key == key and other < row:
+            offset += 1
+    rows.places[sim, row] = place + offset
+    if rows.type[sim, row] >= _CONTACT:
+        rows.efc_address[rows.id[sim, row], offset] = place + offset
+
+
+@wp.kernel(enable_backward=False)
+def move_rows(rows: Rows, values: wp.array3d[wp.int32], kept: wp.array3d[wp.int32]) -> None:
+    """Move the rows of an array to their places. One thread is one column of one simulation."""
+    sim, column = wp.tid()
+    num_rows = wp.min(rows.nefc[sim], rows.places.shape[1])
+    for row in range(num_rows):
+        kept[sim, row, column] = values[sim, row, column]
+    for row in range(num_rows):
+        values[sim, rows.places[sim, row], column] = kept[sim, row, column]
