@@ -100,19 +100,19 @@ class WarpSimulator(Simulator):
         self.num_sims = num_sims
         self.xp = self._device.xp
         with self._warp.ScopedDevice(self._device.warp_device):
-            self._allocate()
-        self._model.opt.deterministic = deterministic
+            self._allocate(deterministic)
         self._graphs: dict[int, Any] = {}
         self._timers: list[Callable[[], float]] = []  # of steps whose time is not in `_device_s` yet
         self._device_s = 0.0
         self.reset(np.arange(num_sims))
 
-    def _allocate(self) -> None:
+    def _allocate(self, deterministic: bool) -> None:
         wp, view = self._warp, self._device.view
         try:
             self._model: Any = self._mujoco_warp.put_model(self.model)
         except (NotImplementedError, ValueError) as error:
             raise ConfigError(f"mujoco-warp does not run this model: {error} Use --device cpu.") from error
+        self._model.opt.deterministic = deterministic
         self._model.opt.warn_overflow = 0  # no prints from kernels: `check_buffers` reports overflows
         self._model.callback.control = self._watch
         self._model.callback.contactfilter = self.align_tangents
@@ -127,12 +127,11 @@ class WarpSimulator(Simulator):
         arrays.kept = wp.zeros((sims, self.model.nq + 2 * self.model.nv + 1), dtype=wp.float32)
         arrays.active, arrays.diverged = (wp.zeros(sims, dtype=wp.bool) for _ in range(2))
         self._rows = rows = self._kernels.Rows()
-        for name in ("type", "id"):
-            setattr(rows, name, getattr(data.efc, name))
+        rows.nefc, rows.type, rows.id = data.nefc, data.efc.type, data.efc.id
         for name in ("geom", "geomcollisionid", "efc_address"):
             setattr(rows, name, getattr(data.contact, name))
-        rows.nefc, rows.places = data.nefc, wp.zeros((sims, self.njmax), dtype=wp.int32)
-        self._kept_rows = wp.zeros(data.efc.J.shape, dtype=wp.int32)
+        rows.places = wp.zeros((sims, self.njmax), dtype=wp.int32)
+        self._kept_rows = wp.zeros(data.efc.J.shape if deterministic else (0, 0, 0), dtype=wp.int32)
         self._peak_constraints = wp.zeros(sims, dtype=wp.int32)
         self._peak_contacts = wp.zeros(1, dtype=wp.int32)
         self.qpos, self.qvel, self.ctrl = view(arrays.qpos), view(arrays.qvel), view(arrays.wanted_ctrl)
@@ -215,10 +214,9 @@ class WarpSimulator(Simulator):
         if model.opt.deterministic and not model.is_sparse:
             self._warp.launch(self._kernels.find_places, dim=self._rows.places.shape, inputs=[self._rows])
             for array in (getattr(data.efc, name) for name in _ROW_FIELDS):
-                shape = (*array.shape, 1)[:3]
-                values = self._warp.array(ptr=array.ptr, dtype=self._warp.int32, shape=shape, device=array.device)
+                values = array.view(self._warp.int32).reshape((*array.shape, 1)[:3])
                 arguments = [self._rows, values, self._kept_rows]
-                self._warp.launch(self._kernels.move_rows, dim=(self.num_sims, shape[2]), inputs=arguments)
+                self._warp.launch(self._kernels.move_rows, dim=(self.num_sims, values.shape[2]), inputs=arguments)
 
     def align_tangents(self, model: Any, data: Any) -> None:
         """Align the tangents of capsule contacts with MuJoCo in C. mujoco-warp calls this after collision detection."""

@@ -213,13 +213,12 @@ def find_places(rows: Rows) -> None:
     offset = wp.int32(0)
     for other in range(num_rows):
         other_key = _key(rows, sim, other)
-        if other_key < key:
+        if other_key < key or (other_key == key and other < row):
             place += 1
-        elif other_key == key and other < row:
-            offset += 1
-    rows.places[sim, row] = place + offset
+            offset += wp.where(other_key == key and rows.id[sim, other] == rows.id[sim, row], 1, 0)
+    rows.places[sim, row] = place
     if rows.type[sim, row] >= _CONTACT:
-        rows.efc_address[rows.id[sim, row], offset] = place + offset
+        rows.efc_address[rows.id[sim, row], offset] = place
 
 
 @wp.kernel(enable_backward=False)
