@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 import shes
 from benchmarks import speedup
@@ -27,6 +28,7 @@ from shes.errors import (
     RunFolderError,
     ShapeError,
     StorageError,
+    UnknownNameError,
 )
 from shes.es.level import UpdateRule
 from shes.es.shaping import PairRanks
@@ -105,6 +107,28 @@ MISTAKES = [
       for size in ((8, 100), (100, 4000), ("big", 100), (100.5, 100))),
     *((lambda make=make: make("point-maze").render(), ConfigError, 'render_mode="rgb_array"')
       for make in (TaskEnv, TaskVectorEnv)),
+    (lambda: TaskVectorEnv("point-gather").step(np.zeros((1, 2))), ResetNeeded, "call reset"),
+    *((lambda make=make, options=options: make("point-maze", **options), error, message)
+      for make in (TaskEnv, TaskVectorEnv)
+      for options, error, message in (
+          ({"integrater": "rk4"}, ConfigError, "no option 'integrater'. Options: integrator"),
+          ({"observe_block": True}, ConfigError, "no option 'observe_block'. Options: "),
+          ({"integrator": "rk5"}, UnknownNameError, "Did you mean 'rk4'"),
+          ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
+          ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
+          ({"render_mode": "ansi"}, UnknownNameError, "unknown render_mode 'ansi'"))),
+    *((partial(make_task, name, 1, **{option: wrong}), ConfigError,
+       f"{option} of {name[6:]} must be ... coordinates in metres, got ( ... ). Set --")
+      for name, wrong in (("point-maze", (1, 2, 3)), ("point-push", (1.0,)), ("point-fall", (1, 2)))
+      for option in ("target", "evaluation_target")),
+    *((partial(make_task, name, 1, **options), ConfigError, message) for name, options, message in (
+        ("point-push", {"waypoints": (1, 2, 3)}, "waypoints of push must be 2 coordinates each, got ... Set --way"),
+        ("point-fall", {"waypoints": (1, 2)}, "waypoints of fall must be 3 coordinates each, got ... Set --way"),
+        ("point-maze", {"waypoints": (8, 0)}, "waypoints (8.0, 0.0) need a fixed target ... 0 16, or --waypoints none"),
+        ("point-flagrun", {"max_tilt": 45.0}, "the point has no tilt to limit. Define `cos_tilt` ... omit --max-tilt"),
+        ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"),
+        ("point-maze", {"target": (1, 2), "target_sampling": "free_cells"},
+         "target (1.0, 2.0) fixes training's target, so target_sampling 'free_cells' ... Omit "))),
     # Measurements.
     (lambda: bench_rollout(smoke({"algorithm": "td3"})), ConfigError, "strategies, got td3. Set --algorithm shes"),
     (lambda: bench_rollout(smoke({"population_size": 10**12})), ConfigError, "GB of memory, but ... --population-size"),

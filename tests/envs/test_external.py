@@ -342,17 +342,20 @@ def test_settings_that_do_not_fit_are_refused(settings, message, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+PLACE = " ... external_envs.py:"
+
+
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("reset", "cannot reset: RuntimeError: no fuel"),
-        ("step", "cannot step: RuntimeError: no fuel"),
-        ("exit", "cannot step: SystemExit: 3"),
+        ("reset", "cannot reset: RuntimeError: no fuel (" + PLACE),
+        ("step", "cannot step: RuntimeError: no fuel (" + PLACE),
+        ("exit", "cannot step: SystemExit: 3 (" + PLACE),
         ("shape", "cannot step: its observation must be one of Dict( ... ), got {'pose': array([0 ... , 'gear': ... "),
         ("scalar", "cannot step: its observation must be one of Dict( ... ), got np.float64(1.0)."),
         ("unpaid", "cannot step: its reward must be a number, got None."),
-        ("where", "cannot step: KeyError: 'where'"),
-        ("success", "cannot step: ValueError: The truth value of an array ... "),
+        ("where", "cannot step: KeyError: 'where' (" + PLACE),
+        ("success", "cannot step: ValueError: The truth value of an array"),
     ],
 )
 def test_a_later_failure_is_one_line_with_the_name(fault, message):
@@ -467,7 +470,7 @@ def test_observations_may_be_of_one_environment_or_several():
     with raises(ConfigError, "agent.act(observation, env=env)"):
         start(1, **FREE).reader.locate(np.zeros((1, 1)), None)
     for wrong in (np.zeros(11), np.zeros((2, 8)), {"pose": np.zeros(3)}, None, "car"):
-        with pytest.raises(ShapeError):
+        with raises(ShapeError, "not an observation of 1 times Dict"):
             reader.rows(wrong, 1)
 
 

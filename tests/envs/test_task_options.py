@@ -9,7 +9,6 @@ from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import setting_fields
 from tests.envs.episodes import make_task
-from tests.messages import raises
 
 assert shes
 
@@ -36,30 +35,6 @@ def test_gymnasium_takes_the_options_of_the_task():
     env = gymnasium.make("shes/PointMaze-v0", target=np.array([8, 3.5]), evaluation_target=[1, 2], evaluation=True)
     env.reset(seed=0)
     np.testing.assert_array_equal(env.unwrapped.task.target, [[1.0, 2.0]])
-
-
-FIXED = {"target": (1, 2), "target_sampling": "free_cells"}
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        *(
-            (name, {option: wrong}, f"{option} of {name[6:]} must be ... coordinates in metres, got ( ... ). Set --")
-            for option in ("target", "evaluation_target")
-            for name, wrong in (("point-maze", (1, 2, 3)), ("point-push", (1.0,)), ("point-fall", (1, 2)))
-        ),
-        ("point-push", {"waypoints": (1, 2, 3)}, "waypoints of push must be 2 coordinates each, got ... . Set --waypo"),
-        ("point-fall", {"waypoints": (1, 2)}, "waypoints of fall must be 3 coordinates each, got ... . Set --waypo"),
-        ("point-maze", {"waypoints": (8, 0)}, "waypoints (8.0, 0.0) need a fixed target ... 0 16, or --waypoints no"),
-        ("point-flagrun", {"max_tilt": 45.0}, "the point has no tilt to limit. Define `cos_tilt` ... omit --max-tilt"),
-        ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"),
-        ("point-maze", FIXED, "target (1.0, 2.0) fixes training's target, so target_sampling 'free_cells' ... Omit "),
-    ],
-)
-def test_options_that_do_not_fit_together_are_refused(name, options, message):
-    with raises(ConfigError, message):
-        make_task(name, 1, **options)
 
 
 def test_the_reward_is_the_progress_through_the_waypoints():

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import shes  # registers
-from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
-from shes.gymnasium.env import TaskEnv
+from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.gymnasium.vector_env import TaskVectorEnv
 from tests.messages import raises
 
@@ -68,23 +67,6 @@ def test_an_action_without_numbers_is_refused(begin):
     each = f" in each of {num_envs} environments; got (3, {size})" if num_envs > 1 else f"; got ({3 * size},)"
     with raises(ShapeError, f"ant-gather has shape ({size},){each}"):
         env.step(np.zeros((3, size) if num_envs > 1 else 3 * size))
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"integrater": "rk4"}, ConfigError, "no option 'integrater'. Options: integrator"),
-        ({"observe_block": True}, ConfigError, "no option 'observe_block'. Options: "),
-        ({"integrator": "rk5"}, UnknownNameError, "Did you mean 'rk4'"),
-        ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
-        ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
-        ({"render_mode": "ansi"}, UnknownNameError, "unknown render_mode 'ansi'"),
-    ],
-)
-def test_a_wrong_option_is_refused(options, error, message):
-    for make_env in (TaskEnv, TaskVectorEnv):
-        with raises(error, message):
-            make_env("point-maze", **options)
 
 
 def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
