@@ -133,7 +133,7 @@ def test_shapes_follow_the_levels(dim, shapes, fitness):
         ({"sigma": 0}, ConfigError, "sigma must be a number greater than 0, got 0"),
         ({"seed": -1}, ConfigError, "seed must be a whole number of at least 0, got -1"),
         ({"population_size": 41}, ConfigError, "multiple of 2, ... got 41. Set --population-size 40 or 42"),
-        ({"dim": (2, 5), "noise_table_size": 9}, ConfigError, "is 9, but a level has 5 parameters ... at least 10"),
+        ({"dim": (2, 5), "noise_table_size": 9}, ConfigError, "is 9, but a level has 5 parameters ... 10. Raise --n"),
         ({"mirrored": "quadd"}, UnknownNameError, "mirroring 'quadd' ... --mirrored"),
         ({"perturbation": "many"}, UnknownNameError, "perturbation 'many' ... Known: ... --perturbation"),
         ({"fitness_shaping": "pair_rnk"}, UnknownNameError, "shaping 'pair_rnk' ... --fitness-shaping"),

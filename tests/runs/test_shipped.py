@@ -45,7 +45,7 @@ def test_what_is_no_agent_is_refused_by_saying_why(elsewhere, monkeypatch):
     with raises(RunFolderError, "no config.json. ... It hides the shipped agent ant-walker: rename it"):
         shes.load("ant-walker")
     monkeypatch.setattr(shipped, "AGENTS", elsewhere / "nowhere")
-    with pytest.raises(RunFolderError):
+    with pytest.raises(RunFolderError, match=r"\(its --out\)\.$"):
         shes.load("gone")
     with raises(UnknownNameError, "unknown shipped agent 'x'. Known: . `shes list` shows them"):
         read_agent("x")

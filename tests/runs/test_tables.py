@@ -55,8 +55,9 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
 def test_a_damaged_table_is_one_clear_error_and_kept(tmp_path, content):
     path = tmp_path / "a.csv"
     path.write_bytes(content)
-    with raises(RunFolderError, "a.csv cannot be read as a table of numbers: ... . Restore it"):
+    with raises(RunFolderError, "a.csv cannot be read as a table of numbers: ... . Restore it") as error:
         CsvTable(path, 4)
+    assert len(str(error.value)) < 400
     assert path.read_bytes() == content
 
 

@@ -122,20 +122,17 @@ def test_both_levels_may_come_from_other_runs(sources):
     assert found.values.items() >= {**given, **BY_CONTROLLER, **other}.items()  # what is suggested may be asked for
 
 
-TRAINED = "{} is {}, but LEVEL was trained with {}. Omit --{}: it comes with the"
 OTHER_ROBOT = "LEVEL does not fit ... it was trained on ant-flagrun for the ant, but ... has {}. Name a primitive of "
 MISFIT = "LEVEL does not fit ... .\n"
 REFUSED = [
     # The level; its run; the environment; further settings; the message.
     ("primitive", "point", "point-gather", {"goal_encoding": "angle"},
-     TRAINED.format("goal_encoding", "'angle'", "'unit_vector'", "goal-encoding")),
-    ("primitive", "point", "point-gather", {"clock_frequency": None},
-     TRAINED.format("clock_frequency", "None", "1.5", "clock-frequency")),
+     "goal_encoding is 'angle', but LEVEL was trained with 'unit_vector'. Omit --goal-encoding: it comes with the"),
+    ("primitive", "point", "point-gather", {"clock_frequency": None}, "LEVEL was trained with 1.5. Omit --clock-freq"),
     ("primitive", "point", "point-gather", {"primitive_hidden": None}, "is None, but LEVEL was trained with (3, 2)"),
     ("primitive", "walker", "ant-gather", {"symmetry": "none"}, "is 'none', but LEVEL was trained with 'dihedral'"),
     ("controller", "controller", "point-gather", {"controller_network": "equivariant"}, "LEVEL was trained with 'mlp'"),
-    ("controller", "controller", "point-gather", {"hidden": (5,)},
-     TRAINED.format("hidden", "(5,)", "(4,)", "hidden")),
+    ("controller", "controller", "point-gather", {"hidden": (5,)}, "LEVEL was trained with (4,). Omit --hidden: it"),
     ("primitive", "walker", "point-gather", {}, OTHER_ROBOT.format("the point")),
     ("primitive", "walker", "gymnasium:shes/PointMaze-v0", {}, OTHER_ROBOT.format("an external robot")),
     ("primitive", "two levels", "point-gather", {}, MISFIT + "It was trained on point-push: ... \nHere there is: "),
