@@ -37,6 +37,7 @@ from shes.gymnasium.vector_env import TaskVectorEnv
 from shes.runs.comparison import permutation_test
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
+from shes.runs.runs_folder import read_sweep
 from tests.envs.episodes import make_task
 from tests.messages import raises
 
@@ -61,13 +62,23 @@ class Listener:
 MISTAKES = [
     (lambda: shes.trian, AttributeError, "module 'shes' has no attribute 'trian'; it has Agent, ... train"),
     (lambda: train(seed=[1, 2]), ConfigError, "seed must be one number, got [1, 2]. Call shes.train for each"),
-    # Listeners.
+    # Listeners and sweeps.
     (lambda: train(listener=3), ConfigError, "must be a function of a row, or ... with any of on_start, ... got 3."),
     (lambda: train(listener=Listener), ConfigError, "must be an object, got the class Listener. Write Listener()"),
     (lambda: train(listener=SimpleNamespace(on_generatoin=print)), LookupError, "Did you mean 'on_generation'"),
     (lambda: train(listener=lambda: 0), ConfigError, "<lambda> must take (row): too many positional"),
     (lambda: train(listener=[print, SimpleNamespace(on_start=Listener().on_event)]), ConfigError, "(path, config, gen"),
     (lambda: train(listener=SimpleNamespace(on_event=hear)), ConfigError, "hear must be a plain function, not an a"),
+    *((partial(read_sweep, words.split()), ConfigError, message) for words, message in (
+        ("sigma", "must be a setting and its values, got 'sigma'. Set --sweep sigma=0.02,0.05"),
+        ("sigmma=1", "unknown setting 'sigmma'. Did you mean 'sigma'"),
+        ("sigma=", "sigma must be a number greater than 0, got ''"),
+        ("sigma=1,2x", "sigma must be a number greater than 0, got '2x'"),
+        ("sigma=1,1.0", "has a value twice"),
+        ("sigma=1,1", "has a value twice"),
+        ("sigma=1 --sigma=2", "sigma is swept twice"),
+        ("seed=1,2", "seed cannot be swept. Give several seeds by --seed 1 2 3"),
+        ("env=ant-gather", "Runs of a folder have one environment"))),
     # Runs and checkpoints.
     *((partial(shes.load, run), ConfigError, f"a run must be the path ... , got {run!r}.") for run in (None, "", b"a")),
     (lambda: shes.resume(RUN, generations=8, sigma=1.0), ConfigError, "--sigma would change"),

@@ -129,11 +129,7 @@ def test_arguments_are_checked_and_converted():
     ("call", "error", "message"),
     [
         (lambda: area(0), ConfigError, "width must be a whole number of at least 1, got 0. Set --width."),
-        (
-            lambda: area(1, height=True),
-            ConfigError,
-            "height must be a number greater than 0, got True. Set --height.",
-        ),
+        (lambda: area(1, height=True), ConfigError, "height must be a number greater than 0, got True. Set --height."),
         (lambda: area(1, unit="cm"), UnknownNameError, "unknown unit 'cm'. ... Known: m. Set --unit."),
         (area, TypeError, "width"),
         (lambda: EveryKind(word="onee"), UnknownNameError, "unknown word 'onee'. Did you mean 'one'? ... Set --word."),

@@ -131,8 +131,7 @@ def test_a_long_task_is_cut_in_messages():
 @pytest.mark.parametrize("num_workers", [1, 4])
 def test_workers_that_cannot_start_end_the_run(num_workers):
     backend = ScriptedBackend(num_workers, fail_at_start=range(100))
-    message = "keep dying without a result; the last one died (of its own will). --backend"
-    with raises(WorkerError, message):
+    with raises(WorkerError, "keep dying without a result; the last one died (of its own will). --backend"):
         run(backend, [1])
     assert len(backend.told) == MAX_LOSSES * num_workers
 

@@ -15,12 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import shes
 from shes.drawing.make_drawer import make_drawer
 from shes.envs.bodies.point import Point
-from shes.envs.named_environments import (
-    INCLUDED,
-    find_environment,
-    register_environment,
-    register_external,
-)
+from shes.envs.named_environments import INCLUDED, find_environment, register_environment, register_external
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from shes.runs.build import build_algorithm
 from shes.runs.folder import RunFolder
@@ -445,8 +440,7 @@ def test_a_missing_package_names_the_extra_that_brings_it(name, missing, extra, 
     environment = find_environment(name)
     monkeypatch.delitem(gymnasium.registry, "AntMaze_UMaze-v5", raising=False)
     monkeypatch.delitem(gymnasium.registry, "PointMaze_Open-v3", raising=False)
-    message = f"{name} cannot be ... : ... {missing} ... (pip install '{extra}')"
-    with raises(MissingExtraError, message):
+    with raises(MissingExtraError, f"{name} cannot be ... : ... {missing} ... (pip install '{extra}')"):
         environment.make(1)
 
 

@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from shes.cli import main
-from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, WorkerError
+from shes.errors import DivergenceError, PolicyError, RunFolderError, WorkerError
 from shes.runs.folder import RunFolder
 from shes.runs.progress_display import ProgressDisplay
 from shes.runs.runs_folder import RunsFolder, find_runs, read_sweep, vary
@@ -160,24 +160,6 @@ def test_values_are_read_as_their_setting_needs():
         "freeze_primitive": {"true": True, "false": False},
         "algorithm": {"es": "es", "shes": "shes"},
     }
-
-
-@pytest.mark.parametrize(
-    ("texts", "message"),
-    [
-        (["sigma"], "must be a setting and its values, got 'sigma'. Set --sweep sigma=0.02,0.05"),
-        (["sigmma=1"], "unknown setting 'sigmma'. Did you mean 'sigma'"),
-        (["sigma="], "sigma must be a number greater than 0, got ''"),
-        (["sigma=1,2x"], "sigma must be a number greater than 0, got '2x'"),
-        *(([f"sigma=1,{one}"], "has a value twice") for one in ("1.0", "1")),
-        (["sigma=1", "--sigma=2"], "sigma is swept twice"),
-        (["seed=1,2"], "seed cannot be swept. Give several seeds by --seed 1 2 3"),
-        (["env=ant-gather"], "Runs of a folder have one environment"),
-    ],
-)
-def test_a_wrong_sweep_is_refused(texts, message):
-    with raises(ConfigError, message):
-        read_sweep(texts)
 
 
 def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
