@@ -486,7 +486,7 @@ def test_a_name_that_there_is_not_is_told_the_right_one(name, message):
 def test_a_name_may_be_registered_again_by_its_function_alone():
     register_external("point-corner", "tests/Car-v0")
     for name, make in (("ant-gather", Car), (ANT_MAZE, INCLUDED[ANT_MAZE].source), ("point-corner", Car)):
-        with pytest.raises(ConfigError):
+        with raises(ConfigError, f"environment '{name}' is ... already ... Choose another name"):
             register_external(name, make)
     register_external("of-class", Car)
     again = type("Car", (Car,), {"__module__": Car.__module__, "__qualname__": Car.__qualname__})

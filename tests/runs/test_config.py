@@ -78,6 +78,7 @@ REFUSED = [
     ("point-gather", {"controller": ""}, "controller must be a name, e.g. --controller runs/walk, got ''. Set --contr"),
     ("gymnasium:Pendulum-v1", {"device": "cuda"}, "'cuda', but gymnasium:P ... has physics ... Set --device cpu"),
     ("ant-maze", {"preset": "paper", "algorithm": "hiro"}, "is for algorithm shes or es, got ... Set --preset laptop"),
+    ("ant-maze", {"preset": "papr"}, "unknown preset 'papr'. Did you mean 'paper'? ... Set --preset"),
     # Like another run.
     (None, {"like": "gone"}, "gone does not exist. Give the folder that `shes train` printed"),
     (None, {"like": "ant-maze", "algorithm": "es"}, "primitive is 'ant-walker' in ant-maze, but it is not a setting"),
