@@ -144,7 +144,7 @@ MISTAKES = [
     (lambda: bench_rollout(smoke({"algorithm": "td3"})), ConfigError, "strategies, got td3. Set --algorithm shes"),
     (lambda: bench_rollout(smoke({"population_size": 10**12})), ConfigError, "GB of memory, but ... --population-size"),
     (lambda: bench_rollout(make_config("gymnasium:Swimmer-v5", "smoke")), ConfigError, "alone, but gymnasium:Swi"),
-    (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"})), ConfigError, "the CPU, got device 'warp-cpu'"),
+    (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1]), ConfigError, "the CPU, got device 'warp-cpu'. Om"),
     # Parts.
     (lambda: PRIMITIVE_VIEWS.register("own", ColumnsView), ConfigError, "view must be a function, got <class"),
     (lambda: UpdateRule().shape(np.array([0, np.inf]), PAIR), PolicyError, "fitness of member 1 is inf, but every fi"),
