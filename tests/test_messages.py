@@ -14,6 +14,7 @@ from gymnasium.error import ResetNeeded
 
 import shes
 from benchmarks import speedup
+from experiments.ship import ship
 from shes.agents.views import PRIMITIVE_VIEWS, ColumnsView
 from shes.backends.mpi import MpiBackend
 from shes.backends.ray import RayBackend
@@ -42,6 +43,7 @@ from tests.envs.episodes import make_task
 from tests.messages import raises
 
 RUN, PAIR = "copy", np.array([[1, -1]], np.int8)
+SHIPPED = {"name": "good", "description": "It walks.", "commands": ["shes train a"], "episodes": 1, "into": "."}
 train = partial(shes.train, "point-gather", preset="smoke", out="run")
 smoke = partial(make_config, "point-gather", "smoke")
 
@@ -140,11 +142,17 @@ MISTAKES = [
         ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"),
         ("point-maze", {"target": (1, 2), "target_sampling": "free_cells"},
          "target (1.0, 2.0) fixes training's target, so target_sampling 'free_cells' ... Omit "))),
+    *((partial(ship, RUN, **{**SHIPPED, **given}), error, message) for given, error, message in (
+        ({"name": "../Ant"}, ConfigError, "small letters, digits and hyphens, e.g. ant-walker, got '../Ant'"),
+        ({"description": "two\nlines"}, ConfigError, "description must be one line of text, got ... Set --description"),
+        ({"episodes": 0}, ConfigError, "episodes must be a whole number of at least 1, got 0. Set --episodes"),
+        ({"checkpoint": "0"}, RunFolderError, "has no evaluation yet, ... Train it further first"),
+        ({"name": RUN}, RunFolderError, "copy exists already. Delete it first, or choose another name"))),
     # Measurements.
     (lambda: bench_rollout(smoke({"algorithm": "td3"})), ConfigError, "strategies, got td3. Set --algorithm shes"),
     (lambda: bench_rollout(smoke({"population_size": 10**12})), ConfigError, "GB of memory, but ... --population-size"),
     (lambda: bench_rollout(make_config("gymnasium:Swimmer-v5", "smoke")), ConfigError, "alone, but gymnasium:Swi"),
-    (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1]), ConfigError, "the CPU, got device 'warp-cpu'. Om"),
+    (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1]), ConfigError, "got device 'warp-cpu'. Omit"),
     # Parts.
     (lambda: PRIMITIVE_VIEWS.register("own", ColumnsView), ConfigError, "view must be a function, got <class"),
     (lambda: UpdateRule().shape(np.array([0, np.inf]), PAIR), PolicyError, "fitness of member 1 is inf, but every fi"),

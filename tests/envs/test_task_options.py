@@ -13,16 +13,11 @@ from tests.envs.episodes import make_task
 assert shes
 
 
-@pytest.mark.parametrize(
-    ("option", "wrong"),
-    [
-        ("controller_interval", 0),
-        ("goal_distance", 0.99),
-        ("target", (0, -1000.1)),
-        ("target_sampling", "squre"),
-        ("reset_noise", 1.0),
-    ],
-)
+OUTSIDE = {"controller_interval": 0, "goal_distance": 0.99, "target": (0, -1000.1), "target_sampling": "squre",
+           "reset_noise": 1.0}  # fmt: skip
+
+
+@pytest.mark.parametrize(("option", "wrong"), OUTSIDE.items())
 def test_a_value_out_of_range_is_refused_by_the_task(option, wrong):
     kinds = {each.task.Options for each in ENVIRONMENTS.values() if option in setting_fields(each.task.Options)}
     assert kinds

@@ -67,9 +67,6 @@ REFUSED = [
     ("point-gather", {"primitive_reward": "pow", "exponent": 2}, "primitive reward 'pow'. ... --import MODULE."),
     ("point-gather", {"algorithm": "hero"}, "algorithm 'hero'. Did you mean 'hiro' ... shes.register_algorithm"),
     ("point-gather", {"population_size": 18}, "must be a positive multiple of 4, ... got 18. Set ... -size 16 or 20"),
-    ("point-gather", {"population_size": 7, "mirrored": "pair"}, "population_size must be ... 7. ... 6 or 8"),
-    ("point-gather", {"population_size": 10, "perturbation": "one_to_many_halves"},
-     "multiple of 4, a group of 2 ... 10. ... 8 or 12"),
     ("point-gather", {"fitness_shaping": "pair_rank"}, "with mirrored 'quad' a group has 4 member"),
     ("point-gather", {"symmetry": "rotation"}, "'rotation', but the primitive's view is ... Set --primitive-v"),
     ("point-gather", {"primitive_estimate": "interval"}, "but the primitive sees the task's ... egocentric or "),
@@ -97,7 +94,6 @@ REFUSED = [
     ("point-push", {**SEARCHED, "waypoints": (1.0, 2.0)}, "waypoints (1.0, 2.0) are a way already. Set --waypoints no"),
     ("point-push", {"explore": "archive", "primitive_view": "observation"},
      "sees the task's ... Set --primitive-view egocentric or p"),
-    ("point-push", {"explore_horizon": 9}, "explore_horizon has no effect with explore 'none'"),
 ]  # fmt: skip
 
 
