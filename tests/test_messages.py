@@ -15,6 +15,7 @@ from gymnasium.error import ResetNeeded
 import shes
 from benchmarks import speedup
 from experiments.ship import ship
+from shes.agents.mlp import MLP
 from shes.agents.views import PRIMITIVE_VIEWS, ColumnsView
 from shes.backends.mpi import MpiBackend
 from shes.backends.ray import RayBackend
@@ -154,6 +155,8 @@ MISTAKES = [
     (lambda: bench_rollout(make_config("gymnasium:Swimmer-v5", "smoke")), ConfigError, "alone, but gymnasium:Swi"),
     (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1]), ConfigError, "got device 'warp-cpu'. Omit"),
     # Parts.
+    *((partial(MLP, 3, hidden, 2), ConfigError, f"hidden must be whole numbers of at least 1 ... got {hidden}. Set --hi")
+      for hidden in ((0,), (64, -1))),
     (lambda: PRIMITIVE_VIEWS.register("own", ColumnsView), ConfigError, "view must be a function, got <class"),
     (lambda: UpdateRule().shape(np.array([0, np.inf]), PAIR), PolicyError, "fitness of member 1 is inf, but every fi"),
     (lambda: PairRanks()(np.zeros(3)), ConfigError, "needs pairs, but there are 3 members. Set --mirrored pair"),
