@@ -155,7 +155,7 @@ MISTAKES = [
     (lambda: bench_rollout(make_config("gymnasium:Swimmer-v5", "smoke")), ConfigError, "alone, but gymnasium:Swi"),
     (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1]), ConfigError, "got device 'warp-cpu'. Omit"),
     # Parts.
-    *((partial(MLP, 3, hidden, 2), ConfigError, f"hidden must be whole numbers of at least 1 ... got {hidden}. Set --hi")
+    *((partial(MLP, 3, hidden, 2), ConfigError, f"hidden must be whole numbers of at least 1 ... got {hidden}. Set -")
       for hidden in ((0,), (64, -1))),
     (lambda: PRIMITIVE_VIEWS.register("own", ColumnsView), ConfigError, "view must be a function, got <class"),
     (lambda: UpdateRule().shape(np.array([0, np.inf]), PAIR), PolicyError, "fitness of member 1 is inf, but every fi"),
