@@ -1,8 +1,8 @@
 """Check, measure and train on a GPU: `python benchmarks/gpu.py --out OUT`.
 
-`--only check`, `--only bandwidth`, `--only generations`, `--only worlds` or `--only train` runs one stage. Every stage writes its CSV row by row, so that an
-interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a GPU;
-its numbers have no meaning.
+`--only` takes stages: `check`, `bandwidth`, `generations`, `worlds`, `train`. Every stage writes its CSV row by row, so
+that an interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a
+GPU; its numbers have no meaning.
 """
 
 from __future__ import annotations

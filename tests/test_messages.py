@@ -136,9 +136,6 @@ MISTAKES = [
       for name, wrong in (("point-maze", (1, 2, 3)), ("point-push", (1.0,)), ("point-fall", (1, 2)))
       for option in ("target", "evaluation_target")),
     *((partial(make_task, name, 1, **options), ConfigError, message) for name, options, message in (
-        ("point-push", {"waypoints": (1, 2, 3)}, "waypoints of push must be 2 coordinates each, got ... Set --way"),
-        ("point-fall", {"waypoints": (1, 2)}, "waypoints of fall must be 3 coordinates each, got ... Set --way"),
-        ("point-maze", {"waypoints": (8, 0)}, "waypoints (8.0, 0.0) need a fixed target ... 0 16, or --waypoints none"),
         ("point-flagrun", {"max_tilt": 45.0}, "the point has no tilt to limit. Define `cos_tilt` ... omit --max-tilt"),
         ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"),
         ("point-maze", {"target": (1, 2), "target_sampling": "free_cells"},
