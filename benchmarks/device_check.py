@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -130,9 +131,10 @@ def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array)
     std = float(cpu.std(ddof=1))
     difference = float(device.mean() - cpu.mean())
     is_constant = std == 0 == device.std(ddof=1)  # Welch's test divides by both
-    p_shift = float(difference == 0) if is_constant else float(stats.ttest_ind(device, cpu, equal_var=False).pvalue)
+    welch: Any = stats.ttest_ind(device, cpu, equal_var=False)
+    p_shift = float(difference == 0) if is_constant else float(welch.pvalue)
     # Ties, as among episodes that all reach the horizon, make this p too large: the test is conservative.
-    distance, p_distance = stats.ks_2samp(cpu, device)
+    found: Any = stats.ks_2samp(cpu, device)
     return DeviceComparison(
         env=env,
         spec=spec,
@@ -143,8 +145,8 @@ def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array)
         cpu_std=std,
         shift=difference / std if std else difference,
         p_shift=p_shift,
-        distance=float(distance),
-        p_distance=float(p_distance),
+        distance=float(found.statistic),
+        p_distance=float(found.pvalue),
     )
 
 

@@ -1,8 +1,8 @@
 """Check, measure and train on a GPU: `python benchmarks/gpu.py --out OUT`.
 
-`--only check`, `--only bandwidth`, `--only generations`, `--only worlds` or `--only train` runs one stage. Every stage writes its CSV row by row, so that an
-interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a GPU;
-its numbers have no meaning.
+`--only` takes stages: `check`, `bandwidth`, `generations`, `worlds`, `train`. Every stage writes its CSV row by row, so
+that an interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a
+GPU; its numbers have no meaning.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def check(device: str, size: Size, out: Path) -> None:
     """Compare return distributions on the device with those on the CPU, which other processes sample meanwhile."""
     table = Table(out / "check.csv")
     simulator = partial(WarpSimulator, device=device)
-    cases = [(env, spec) for env in size.envs for spec in find_environment(env).task.specs]
+    cases = [(env, spec) for env in size.envs for spec in ENVIRONMENTS[env].task.specs]
     sizes: dict[str, Any] = {"episodes": size.episodes, "horizon": size.check_steps}
     # Not a fork: a child must not inherit the GPU.
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
@@ -170,7 +170,7 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
     table = Table(out / "worlds.csv")
     for integrator, worlds in itertools.product(size.integrators, size.worlds):
         options = TaskOptions(integrator=integrator)
-        task = find_environment("ant-gather").make(worlds, options, partial(WarpSimulator, device=device))
+        task: Any = find_environment("ant-gather").make(worlds, options, partial(WarpSimulator, device=device))
         opened = WarpDevice(device)
         ids = np.arange(worlds)
         task.reset(ids, ids.tolist())
@@ -218,7 +218,7 @@ def generations(device: str, size: Size, out: Path) -> None:
         table.add(what=what, **what_ran, policies=config.evolution.population_size, episodes=episodes, **row)
 
 
-def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
+def _timed(config: TrainConfig) -> Iterator[dict[str, Any]]:
     """Yield the seconds of every generation, by part."""
     learner = build_algorithm(config)
     assert isinstance(learner, EvolutionAlgorithm)

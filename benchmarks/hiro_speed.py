@@ -5,6 +5,8 @@ is the Python of a throwaway environment with stable-baselines3, psutil and this
 of ours). Without it, ours alone is measured. Each measurement is a process of its own; their order alternates.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 import argparse

@@ -12,6 +12,7 @@ all seeds share, these two once.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def settings_of(task: str, way: str, seed: int) -> dict[str, Any]:
     return {"seed": seed} | ({"primitive": WALKERS[task], **FROZEN[task]} if way == "frozen" else {})
 
 
-def results(way: str, seed: int, path: Path, controllers: tuple[str, ...]) -> tuple[list[Any], list[Any]]:
+def results(way: str, seed: int, path: Path, controllers: Sequence[Any]) -> tuple[list[Any], list[Any]]:
     """Return a row about each controller of a finished run's best checkpoint, and one for each of its evaluations."""
     progress, table = read_csv(path / "progress.csv"), read_csv(path / "evaluation.csv")
     run = {

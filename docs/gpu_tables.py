@@ -18,35 +18,36 @@ def filled(page: str) -> str:
     """Return `page` with its tables made anew."""
     before, _, rest = page.partition(BEGIN)
     after = rest.partition(END)[2]
-    return f"{before}{BEGIN}\n\n{speeds()}\n\n{runs()}\n\n{END}{after}"
+    return f"{before}{BEGIN}\n\n{speeds()}\n\n{run()}\n\n{END}{after}"
 
 
 def speeds() -> str:
     """Return the table of environment steps per second."""
     rows = [
-        (f"physics alone, {int(row['worlds']):,} worlds", _thousands(float(row["env_steps_per_s"])))
+        (row["card"], f"physics alone, {int(row['worlds']):,} worlds", _thousands(float(row["env_steps_per_s"])))
         for row in _rows("worlds")
     ]
     for row in _rows("generations"):
         policies, seconds = int(row["policies"]), float(row["generation_s"])
         words = f"a generation of {policies} × {row['episodes']} episodes: {seconds:.1f} s"
-        rows.append((words, _thousands(float(row["env_steps_per_s"]))))
-    return table(("Ant Gather", "environment steps per second"), rows, ("environment steps per second",))
+        rows.append((row["card"], words, _thousands(float(row["env_steps_per_s"]))))
+    return table(("card", "Ant Gather", "environment steps per second"), rows, ("environment steps per second",))
 
 
-def runs() -> str:
-    """Return the table of the two runs."""
-    rows = []
-    for agent in _rows("agents"):
-        name = Path(agent["agent"]).name
-        best = max(_rows(f"{name}/evaluation"), key=lambda row: float(row["score_mean"]))
-        last = _rows(f"{name}/progress")[-1]
-        error = float(agent["score_std"]) / math.sqrt(int(agent["episodes"]) - 1)
-        found = f"{best['generation']} of {last['generation']}", f"{float(best['env_steps']) / 1e6:.0f}", _time(best)
-        speed = float(last["env_steps"]) / float(last["wall_time_s"])
-        rows.append((name, *found, f"{float(agent['score_mean']):.2f} ± {error:.2f}", _thousands(speed)))
-    header = ("run", "best generation", "million steps", "time", f"score of {agent['episodes']} episodes", "steps/s")
-    return table(header, rows)
+def run() -> str:
+    """Return the table of the run: its best generation, and the scores of its controllers."""
+    agents = _rows("agents")
+    best = max(_rows("ant-gather/evaluation"), key=lambda row: float(row["score_mean"]))
+    last = _rows("ant-gather/progress")[-1]
+    found = f"{best['generation']} of {last['generation']}", f"{float(best['env_steps']) / 1e6:.0f}", _time(best)
+    speed = _thousands(float(last["env_steps"]) / float(last["wall_time_s"]))
+    scores = (f"{float(each['score_mean']):.2f} ± {_error(each):.2f}" for each in agents)
+    header = ("best generation", "million steps", "time", "steps/s", *(each["controller"] for each in agents))
+    return table(header, [(*found, speed, *scores)])
+
+
+def _error(agent: Mapping[str, str]) -> float:
+    return float(agent["score_std"]) / math.sqrt(int(agent["episodes"]) - 1)
 
 
 def _rows(name: str) -> list[Mapping[str, str]]:

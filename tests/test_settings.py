@@ -10,6 +10,7 @@ import pytest
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import known_settings
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Shown, checked, setting_fields
+from tests.messages import raises
 
 NAMES = {"near": 1}
 
@@ -39,25 +40,25 @@ class EveryKind(Settings):
 
 NOT_NUMBERS = ["1", True, None, float("nan"), float("inf"), [1], 1j]
 WRONG = {
-    "span": (r"2 numbers", [(1.0,), (0.0, 1.0, 2.0), (), ("a", "b"), 1.0]),
-    "whole": (r"a whole number of at least 2", [1, 2.0, -(10**400), *NOT_NUMBERS]),
-    "seed": (r"a whole number of at least 0 and less than 9000", [-1, 9000, 1.0]),
-    "positive": (r"a number greater than 0", [0, -0.1, *NOT_NUMBERS]),
-    "zero": (r"a number of at least 0", [-0.1, *NOT_NUMBERS]),
-    "share": (r"a number of at least 0 and at most 1", [-0.1, 1.1, *NOT_NUMBERS]),
-    "open_share": (r"a number greater than 0 and less than 1", [0, 1, *NOT_NUMBERS]),
-    "momentum": (r"a number of at least 0 and less than 1", [-0.1, 1, *NOT_NUMBERS]),
-    "word": (r"one of one, two", [1, None, ["one"], b"one"]),
-    "name": (r"one of near", [3, None]),
-    "path": (r"a name, e\.g\. --path runs/a", ["", 3, True]),
-    "switch": (r"true or false", [1, 0, "no", None, []]),
-    "maybe": (r"true or false", ["no", 0.0]),
+    "span": ("2 numbers", [(1.0,), (0.0, 1.0, 2.0), (), ("a", "b"), 1.0]),
+    "whole": ("a whole number of at least 2", [1, 2.0, -(10**400), *NOT_NUMBERS]),
+    "seed": ("a whole number of at least 0 and less than 9000", [-1, 9000, 1.0]),
+    "positive": ("a number greater than 0", [0, -0.1, *NOT_NUMBERS]),
+    "zero": ("a number of at least 0", [-0.1, *NOT_NUMBERS]),
+    "share": ("a number of at least 0 and at most 1", [-0.1, 1.1, *NOT_NUMBERS]),
+    "open_share": ("a number greater than 0 and less than 1", [0, 1, *NOT_NUMBERS]),
+    "momentum": ("a number of at least 0 and less than 1", [-0.1, 1, *NOT_NUMBERS]),
+    "word": ("one of one, two", [1, None, ["one"], b"one"]),
+    "name": ("one of near", [3, None]),
+    "path": ("a name, e.g. --path runs/a", ["", 3, True]),
+    "switch": ("true or false", [1, 0, "no", None, []]),
+    "maybe": ("true or false", ["no", 0.0]),
     "layers": (
-        r"whole numbers of at least 1, e\.g\. --net 64 64",
+        "whole numbers of at least 1, e.g. --net 64 64",
         [(0,), (8, -1), (8.5,), ("8",), (True,), 0, 8.5, True, "8 8", None],
     ),
     "place": (
-        r"numbers of at least -9 and at most 9, e\.g\. --place 0 8",
+        "numbers of at least -9 and at most 9, e.g. --place 0 8",
         [10, "ab", ("0", "1"), [[1], [2]], {0: 1}, (True, 1), (0, None), (0, np.nan), (9.1, 0), (), np.zeros((2, 1))],
     ),
 }
@@ -73,28 +74,20 @@ def test_a_value_out_of_range_is_refused_with_its_flag(name):
     allowed, values = WRONG[name]
     flag = setting_fields(EveryKind)[name].flag
     for value in values:
-        with pytest.raises(ConfigError, match=rf"^{name} must be {allowed}, got .*\. Set {flag}\.$"):
+        with raises(ConfigError, f"{name} must be {allowed}, got ... . Set {flag}."):
             EveryKind(**{name: value})
-
-
-@pytest.mark.parametrize("values", [{"whole": 2**63}, {"positive": 10**400}, {"layers": (8, 10**30)}])
-def test_a_whole_number_beyond_numpys_is_refused(values):
-    with pytest.raises(ConfigError, match=r"must be less than 2\*\*63, got .*Set --"):
-        EveryKind(**values)
 
 
 @pytest.mark.parametrize("kind", [Literal[1, 2], list[int], tuple[float, str], tuple[str, ...], tuple[()], int | str])
 def test_a_field_of_an_unsupported_type_is_refused(kind):
     cls = make_dataclass("Odd", [("sort", kind, 1)], bases=(Settings,), frozen=True, kw_only=True)
-    with pytest.raises(ConfigError, match=r"Odd\.sort has the type .*, which a setting cannot have\. Use bool, int, "):
+    with raises(ConfigError, "Odd.sort has the type ... , which a setting cannot have. Use bool, int, "):
         setting_fields(cls)
 
 
 def test_an_unknown_name_is_refused_until_it_is_added(monkeypatch):
-    for name, wrong in {"word": "onee", "name": "neat"}.items():
-        message = rf"unknown {name} '{wrong}'\. Did you mean '{getattr(EveryKind(), name)}'\? .*Set --{name}\."
-        with pytest.raises(UnknownNameError, match=message):
-            EveryKind(**{name: wrong})
+    with pytest.raises(UnknownNameError):
+        EveryKind(name="far")
     monkeypatch.setitem(NAMES, "far", 2)
     assert EveryKind(name="far").name == "far"
     assert setting_fields(EveryKind)["name"].choices == ("near", "far")
@@ -135,18 +128,19 @@ def test_arguments_are_checked_and_converted():
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: area(0), ConfigError, r"width must be a whole number of at least 1, got 0\. Set --width\."),
-        (
-            lambda: area(1, height=True),
-            ConfigError,
-            r"height must be a number greater than 0, got True\. Set --height\.",
-        ),
-        (lambda: area(1, unit="cm"), UnknownNameError, r"unknown unit 'cm'\. .*Known: m\. Set --unit\."),
+        (lambda: area(0), ConfigError, "width must be a whole number of at least 1, got 0. Set --width."),
+        (lambda: area(1, height=True), ConfigError, "height must be a number greater than 0, got True. Set --height."),
+        (lambda: area(1, unit="cm"), UnknownNameError, "unknown unit 'cm'. ... Known: m. Set --unit."),
         (area, TypeError, "width"),
+        (lambda: EveryKind(word="onee"), UnknownNameError, "unknown word 'onee'. Did you mean 'one'? ... Set --word."),
+        (lambda: EveryKind(name="neat"), UnknownNameError, "unknown name 'neat'. Did you mean 'near'? ... Set --name."),
+        (lambda: EveryKind(whole=2**63), ConfigError, "whole must be less than 2**63, got 92 ... Set --whole"),
+        (lambda: EveryKind(positive=10**400), ConfigError, "positive must be less than 2**63, got ... Set --positive"),
+        (lambda: EveryKind(layers=(8, 10**30)), ConfigError, "layers must be less than 2**63, got ... Set --net"),
     ],
 )
-def test_an_argument_out_of_range_is_refused(call, error, message):
-    with pytest.raises(error, match=message):
+def test_what_is_out_of_range_is_refused(call, error, message):
+    with raises(error, message):
         call()
 
 
@@ -156,6 +150,6 @@ def test_every_setting_has_a_text_a_range_and_a_default():
         assert setting.text.endswith("."), name
         assert name == "env" or setting.checked(setting.default) == setting.default, name
         if setting.item in (int, float):
-            with pytest.raises(ConfigError, match=rf"^{name} must be .*, got .*Set {setting.flag}\.$"):
+            with pytest.raises(ConfigError):
                 setting.checked((-2000,) if setting.kind is tuple else -1)
     assert len({each.flag for each in settings.values()}) == len(settings)

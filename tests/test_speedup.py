@@ -5,7 +5,6 @@ import math
 import pytest
 
 from benchmarks import speedup
-from shes.errors import ConfigError
 from shes.machine import core_numbers
 from shes.runs.make_config import make_config
 from tests.rollout.made_up import make_task
@@ -59,8 +58,3 @@ def test_speed_ups_are_measured_and_projected(algorithm, settings, workers):
         assert row["generation_s"] == row["rollout_s"] + row["update_s"]
         assert row["speedup"] == pytest.approx(row["efficiency"] * row["cores"])
         assert all(math.isfinite(row[name]) and row[name] > 0 for name in list(row)[2:])
-
-
-def test_a_device_is_refused():
-    with pytest.raises(ConfigError, match="measures the CPU, got device 'warp-cpu'"):
-        speedup.measure_speedup(make_config("point-gather", "smoke", {"device": "warp-cpu"}))

@@ -18,6 +18,8 @@ environment of its own:
     pip install torch==2.13.0 stable-baselines3 evotorch shes
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 import argparse
@@ -133,7 +135,8 @@ def make_env(walk: Walk) -> Any:
     """Return the environment; EvoTorch calls this in its actors."""
     import gymnasium
 
-    return gymnasium.make(walk.env, **walk.robot)
+    robot: dict[str, Any] = walk.robot
+    return gymnasium.make(walk.env, **robot)
 
 
 def train_evotorch(seed: int, watch: Watch) -> None:

@@ -5,6 +5,8 @@ objective, clipped gradients; the learning rate follows the divergence of the po
 At a time limit the value of the last state stands for the rest of the episode.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 from collections.abc import Iterator

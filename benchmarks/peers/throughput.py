@@ -16,6 +16,8 @@ The first generation of each is not counted. Prints medians, and ratios in the s
 `learning.py`.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 import argparse
@@ -61,11 +63,12 @@ def shes_speeds(cores: int, seconds: float) -> list[float]:
     settings = {"algorithm": "es", "hidden": (HIDDEN, HIDDEN), "population_size": POPULATION, "horizon": STEPS}
     config = make_config("ant-gather", "laptop", {**settings, "num_workers": cores, "sigma": SIGMA})
     algorithm = evolution_strategy(config)
-    state, found = algorithm.start(1), list[float]()
+    state, steps, found = algorithm.start(1), 0, list[float]()
     with build_backend(config, algorithm.plan()) as backend:
         begun = perf_counter()
         for report in evolve(state, algorithm.hyperparameters, algorithm.table, backend):
-            found.append(report.num_steps / (report.rollout_s + report.update_s))
+            found.append((report.state.env_steps - steps) / (report.rollout_s + report.update_s))
+            steps = report.state.env_steps
             if perf_counter() - begun > seconds:
                 return found
     return found

@@ -29,7 +29,7 @@ class Walk:
 
     def __init__(self, robot: str | None = None, episodes: int = 50) -> None:
         """Read the settings of preset `laptop`; an evaluation has `episodes` episodes."""
-        self.robot = {} if robot is None else {"robot": robot}
+        self.robot: dict[str, Any] = {} if robot is None else {"robot": robot}
         self.name, self.env, self.episodes = "flagrun", "shes/Flagrun-v0", episodes
         if robot is None:
             self.name, self.env = "ant-flagrun", "shes/AntFlagrun-v0"
@@ -111,5 +111,5 @@ class OwnView:
         """Return the actions [N, A] for `observation`; `policy` maps our inputs [N, I] to actions in our frame."""
         position, heading = self._reader.locate(observation, None)
         goal = self._reader.goal(observation, position, heading)
-        self._agent.levels[-1].act = lambda inputs, _: policy(inputs)
+        self._agent.levels[-1].act = lambda inputs, *_: policy(inputs)  # type: ignore[method-assign]
         return self._agent.act(AgentInputs(observation, position, heading, goal))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from shes.agents.mlp import MLP, RectifiedMLP, aligned_rows
-from shes.errors import ConfigError
 from tests.rollout import plain_agent
 
 
@@ -61,10 +60,3 @@ def test_initial_parameters_are_glorot_normal_layer_by_layer():
         sums.append([(part**2).mean() for layer in mlp.layers(theta[None]) for part in layer])
     expected = [2 / fan for n, m in itertools.pairwise(mlp.sizes) for fan in (n + m, 1 + m)]
     assert np.mean(sums, axis=0) == pytest.approx(expected, rel=0.1)
-
-
-@pytest.mark.parametrize("hidden", [(0,), (64, -1)])
-def test_a_layer_that_is_not_positive_is_refused(hidden):
-    message = r"hidden must be whole numbers of at least 1, e\.g\. --hidden 64 64, got \(.*--hid"
-    with pytest.raises(ConfigError, match=message):
-        MLP(3, hidden, 2)

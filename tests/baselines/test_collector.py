@@ -8,7 +8,7 @@ import pytest
 
 from shes.baselines.collector import Actor
 from shes.envs.named_environments import register_external
-from shes.errors import ConfigError, DivergenceError
+from shes.errors import DivergenceError
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.envs.episodes import make_task
@@ -62,8 +62,6 @@ def test_a_goal_of_other_robots_is_their_position():
         design = algorithm(env=env, goal_distance=3.0).design
         assert (design.half_range, design.columns) == ((3.0, 3.0), columns)
         assert design.coordinates(np.array([[3.0, 4.0, 5.0]]), position).tolist() == position.tolist()
-    with pytest.raises(ConfigError, match=r"the position of the robot of .* is unknown"):
-        algorithm(env="gymnasium:Pendulum-v1")
 
 
 def test_episodes_begin_until_the_steps_are_made_and_all_end():
@@ -171,5 +169,5 @@ def test_exploration_is_within_the_range_and_as_wide_as_asked():
 
 @pytest.mark.parametrize(("name", "scale"), [("td3", 1e39), ("hiro", 1e308)])  # single or double precision overflows
 def test_a_reward_that_is_too_large_ends_the_run(name, scale):
-    with pytest.raises(DivergenceError, match=r"larger than 3\.4e38.*--reward-scale"):
+    with pytest.raises(DivergenceError, match=r"larger than 3.4e38.*--reward-scale"):
         collect(algorithm(name, "point-maze", reward_scale=scale))

@@ -11,10 +11,10 @@ import pytest
 
 import shes
 from shes.baselines.collector import Actor
-from shes.baselines.td3 import LEARNING, TD3State
+from shes.baselines.td3 import TD3State
 from shes.cli import main
 from shes.envs.markers import GOAL
-from shes.errors import CheckpointError, ConfigError, DivergenceError, MissingExtraError
+from shes.errors import CheckpointError, ConfigError, DivergenceError
 from shes.runs.build import build_algorithm, open_run
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.folder import RunFolder
@@ -22,6 +22,7 @@ from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.viewing.playback import Playback
 from tests.e2e import runs
+from tests.messages import raises
 from tests.runs.test_export import OnnxAgent, episode, run_exported
 
 TINY = {
@@ -93,35 +94,28 @@ def test_a_setting_arrives_where_it_is_used(name):
 
 REFUSED = {
     # (algorithm, environment, settings): message
-    ("td3", "gymnasium:CartPole-v1"): ({}, r"the actions of gymnasium:CartPole-v1 are discrete.*--algorithm es"),
-    ("hiro", "point-flagrun"): ({}, "point-flagrun sets the goals, so .*Set --algorithm to shes, .*es or td3"),
-    ("td3", "point-maze"): ({"hidden": ()}, r"hidden must be at least one layer.*Set --hidden\."),
-    ("hiro", "ant-push"): ({"max_tilt": 60.0}, r"max_tilt ends episodes of ant-push that .*Omit --max-tilt"),
-    ("td3", "point-push"): ({"batch_size": 101}, r"batch_size is 101, more than the 100 transitions of replay_size"),
+    ("td3", "gymnasium:CartPole-v1"): ({}, "the actions of gymnasium:CartPole-v1 are discrete ... --algorithm es"),
+    ("hiro", "point-flagrun"): ({}, "point-flagrun sets the goals, so ... Set --algorithm to shes, ... es or td3"),
+    ("hiro", "gymnasium:Pendulum-v1"): ({}, "the position of the robot of gymnasium:Pendulum-v1 is unknown"),
+    ("td3", "point-maze"): ({"hidden": ()}, "hidden must be at least one layer ... Set --hidden."),
+    ("hiro", "ant-push"): ({"max_tilt": 60.0}, "max_tilt ends episodes of ant-push that ... Omit --max-tilt"),
+    ("td3", "point-push"): ({"batch_size": 101}, "batch_size is 101, more than the 100 transitions of replay_size"),
     ("hiro", "point-maze"): ({"controller_interval": 21}, "controller_interval is 21, but episodes have 20 steps"),
     ("td3", "point-fall"): ({"device": "warp-cpu"}, "device is 'warp-cpu', but td3 collects its experience on the CPU"),
-    ("hiro", "point-gather"): ({"replay_size": 10**12}, r"replay_size is 1,000,000,000,000: .* Set --replay-size, "),
+    ("hiro", "point-gather"): ({"replay_size": 10**12}, "replay_size is 1,000,000,000,000: ... Set --replay-size, "),
 }
 
 
 @pytest.mark.parametrize(("name", "env"), REFUSED)
 def test_what_cannot_be_served_is_refused(name, env):
     settings, message = REFUSED[name, env]
-    with pytest.raises(ConfigError, match=message):
+    with raises(ConfigError, message):
         build(name, env, **settings).start(0)
-
-
-def test_without_jax_the_error_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "jax", None)
-    monkeypatch.delitem(sys.modules, LEARNING, raising=False)
-    with pytest.raises(MissingExtraError, match=r"--algorithm td3 needs JAX and Optax .* pip install 'shes\[hiro\]'"):
-        train(tmp_path / "run", "td3")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_level_of_hiro_is_not_transferred(untrained):
     path = untrained("hiro", "point-maze")
-    with pytest.raises(ConfigError, match="has no primitive that can be transferred: it was trained by hiro, and"):
+    with raises(ConfigError, "has no primitive that can be transferred: it was trained by hiro, and"):
         make_config("point-maze", "smoke", {"primitive": str(path)})
 
 
@@ -131,7 +125,7 @@ def test_a_checkpoint_of_another_run_is_refused(untrained):
     arrays = dict(np.load(file))
     for name in ("actor", "replay/older/inputs"):
         np.savez(file, **{**arrays, f"policy/{name}": np.zeros((2, 2), np.float32)})
-        with pytest.raises(CheckpointError, match=rf"last\.npz holds policy/{name} as float32 of shape \(2, 2\)"):
+        with raises(CheckpointError, f"last.npz holds policy/{name} as float32 of shape (2, 2)"):
             open_run(path, "last")
 
 
@@ -276,7 +270,7 @@ def test_networks_that_diverge_end_the_run_before_they_act(tmp_path):
     pytest.importorskip("jax")
     rates = {"critic_learning_rate": 1e30, "actor_learning_rate": 1e30}
     path = train(tmp_path / "run", generations=1, **rates)
-    with pytest.raises(DivergenceError, match=r"the networks of the .* have diverged after .*last checkpoint is kept"):
+    with raises(DivergenceError, "the networks of the ... have diverged after ... last checkpoint is kept"):
         shes.resume(path, generations=4)
     state, agent = runs.state(path), shes.load(path)  # a state with NaN would be refused
     assert state.generation == 1

@@ -10,7 +10,6 @@ import pytest
 
 from shes.cli import main
 from shes.cli.bench import bench_rollout, record_generation
-from shes.errors import ConfigError
 from shes.evolution.algorithm import evolve
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.make_config import make_config
@@ -81,16 +80,3 @@ def test_whole_generations_are_compared_with_bare_physics(capsys, monkeypatch, e
 def test_the_measurement_lasts_as_long_as_asked(monkeypatch):
     monkeypatch.setattr("shes.cli.bench.perf_counter", count().__next__)  # a second between any two looks at the clock
     assert bench_rollout(tiny("point-gather"), repeats=1, seconds=20, replay_s=1)["generations"] > 1
-
-
-@pytest.mark.parametrize(
-    ("env", "settings", "message"),
-    [
-        ("point-gather", {"algorithm": "td3"}, r"evolution strategies, got td3\. Set --algorithm shes"),
-        ("point-gather", {"population_size": 10**12}, r"GB of memory, but .* Lower .*--population-size"),
-        ("gymnasium:Swimmer-v5", {}, r"bench rollout compares with MuJoCo alone, but gymnasium:Swimmer-v5 has its own"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused(env, settings, message):
-    with pytest.raises(ConfigError, match=message):
-        bench_rollout(make_config(env, "smoke", settings), **ONCE)

@@ -20,6 +20,7 @@ from shes.settings import Execution, Settings, setting_fields
 from tests.backends.clusters import ray_cluster
 from tests.backends.workers import ERRORS, Worker
 from tests.e2e import runs
+from tests.messages import raises
 
 ENGINES = {"ray": "ray", "mpi": "mpi4py"}
 """Packages that backends need. Their workers take seconds to start, so that only pairs are tested."""
@@ -129,8 +130,8 @@ def test_an_error_of_shes_arrives_with_the_line_at_fault(backend):
 
 
 def test_a_backend_works_again_after_an_error_and_a_break(backend):
-    message = r'(?s)worker failed.*workers\.py", line \d+, in doubt.*AssertionError'
-    with pytest.raises(WorkerError, match=message):
+    message = 'worker failed ... workers.py", line ... , in doubt ... AssertionError'
+    with raises(WorkerError, message):
         list(backend.map([("add", 1), ("doubt", 0)]))
     backend.broadcast(6)
     results = backend.map([("where", 0.01)] * 20)

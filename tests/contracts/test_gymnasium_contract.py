@@ -95,7 +95,7 @@ def test_without_autoreset_the_user_resets_who_has_ended(variant):
         assert data_equivalence(shown, theirs.step(action))
     assert shown[3].all()
     mask = np.array([True, False, True, True])
-    with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
+    with pytest.raises(gymnasium.error.ResetNeeded):
         ours.step(last)
     shown = [each.reset(options={"reset_mask": mask.copy()}) for each in (ours, theirs)]
     assert data_equivalence(*shown)

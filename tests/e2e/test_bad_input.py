@@ -8,7 +8,6 @@ import errno
 import gc
 import json
 import os
-import re
 import resource
 import shutil
 import sys
@@ -19,10 +18,11 @@ import pytest
 
 import shes
 from shes.cli import main
-from shes.errors import ConfigError, ShesError
+from shes.errors import ShesError, StorageError
 from shes.evolution.state import from_arrays
 from shes.runs.checkpoint import load_checkpoint
 from tests.e2e import runs
+from tests.messages import check_message, raises
 
 MENDABLE, FAILED = 2, 1
 TRAIN = ["train", "point-gather", *runs.flags(**runs.TINY)]
@@ -39,7 +39,7 @@ def refused(capsys, tmp_path, monkeypatch):
         out, err = capsys.readouterr()
         assert found == code
         assert "Traceback" not in out + err
-        assert re.search(message, " ".join(word for word in err.split() if not set(word) <= set("|+-─│╭╮╰╯")))
+        check_message(" ".join(word for word in err.split() if not set(word) <= set("|+-─│╭╮╰╯")), message)
 
     return run
 
@@ -52,28 +52,28 @@ def contents(folder):
 # Command lines.
 
 LINES = {
-    "trian x": r"unknown command 'trian'\. Did you mean 'train'\? Known: train, .*shes --help",
-    "train --preset smoke": r"a run needs an environment: shes train ENV, or shes train --like RUN for that of a run",
-    "train ant-gather --mirrored": r"Missing value for argument '--mirrored'",
-    "train ant-gather --population 8": r"Unrecognized options: --population, 8.* meant: .*--population-size INT",
-    "train ant-gather extra": r"Unrecognized options: extra",
-    "train ant-gather --sigma abc": r"Error parsing --sigma: could not convert string to float: 'abc'",
-    "train ant-gather --hidden 8 x": r"Error parsing --hidden: .*\['8', 'x'\]",
-    "train ant-gather --minimum-goal-distance=no": r"Unrecognized options: no",
-    "--sigma 1 train": r"unknown flag --sigma before the command\. See `shes --help`",
-    "train --import": r"--import needs a value: --import MODULE",
-    "envs --import there_is_none": r"there is no module 'there_is_none'\. Is it installed or on PYTHONPATH\?",
-    "envs --import mine.py": r"no module 'mine'.*not a file: --import mine\.",
-    "bench rolout": r"[Ii]nvalid choice 'rolout' .*rollout",
-    "train pint-gather": r"unknown environment .*Did you mean 'point-gather'\? Known: point-gather, ant-.*`shes envs`",
-    "train ant-gather --sigma nan": r"Error: sigma must be a number greater than 0, got nan\. Set --sigma",
-    "train ant-gather --primitive gone": r"gone does not exist\. Give the folder that `shes train` pr",
-    "bench rollout ant-gather --seconds -1": r"seconds must be a number of at least 0, got -1\.0\. Set --seconds",
-    "resume": r"Missing from shes resume: RUN The run folder",
-    **{f"{each}": rf"{each} needs at least one run folder: shes {each} RUN" for each in ("plot", "report")},
-    "render": r"render needs at least one run and one checkpoint: shes render RUN",
-    **{f"{each} gone": r"gone does not exist\. Give the folder" for each in ("resume", "plot", "report")},
-    **{f"{each} .": r"is not a run folder: it has no config\.json\. Give" for each in ("resume", "evaluate", "plot")},
+    "trian x": "unknown command 'trian'. Did you mean 'train'? Known: train, ... shes --help",
+    "train --preset smoke": "a run needs an environment: shes train ENV, or shes train --like RUN for that of a run",
+    "train ant-gather --mirrored": "Missing value for argument '--mirrored'",
+    "train ant-gather --population 8": "Unrecognized options: --population, 8 ... meant: ... --population-size INT",
+    "train ant-gather extra": "Unrecognized options: extra",
+    "train ant-gather --sigma abc": "Error parsing --sigma: could not convert string to float: 'abc'",
+    "train ant-gather --hidden 8 x": "Error parsing --hidden: ... ['8', 'x']",
+    "train ant-gather --minimum-goal-distance=no": "Unrecognized options: no",
+    "--sigma 1 train": "unknown flag --sigma before the command. See `shes --help`",
+    "train --import": "--import needs a value: --import MODULE",
+    "envs --import there_is_none": "there is no module 'there_is_none'. Is it installed or on PYTHONPATH?",
+    "envs --import mine.py": "no module 'mine' ... not a file: --import mine.",
+    "bench rolout": "nvalid choice 'rolout' ... rollout",
+    "train pint-gather": "environment ... Did you mean 'point-gather'? Known: point-gather, ant- ... `shes envs`",
+    "train ant-gather --sigma nan": "Error: sigma must be a number greater than 0, got nan. Set --sigma",
+    "train ant-gather --primitive gone": "gone does not exist. Give the folder that `shes train` pr",
+    "bench rollout ant-gather --seconds -1": "seconds must be a number of at least 0, got -1.0. Set --seconds",
+    "resume": "Missing from shes resume: RUN The run folder",
+    **{f"{each}": f"{each} needs at least one run folder: shes {each} RUN" for each in ("plot", "report")},
+    "render": "render needs at least one run and one checkpoint: shes render RUN",
+    **{f"{each} gone": "gone does not exist. Give the folder" for each in ("resume", "plot", "report")},
+    **{f"{each} .": "is not a run folder: it has no config.json. Give" for each in ("resume", "evaluate", "plot")},
 }
 
 
@@ -85,17 +85,17 @@ def test_a_wrong_command_line_is_refused_with_its_fix(line, refused, tmp_path):
 
 # Run folders: `copy` is of a finished run, and `file` is a file.
 
-THERE = r"best, generation_000000, generation_000002, generation_000004, last\. Choose one with --checkpoint"
+THERE = "best, generation_000000, generation_000002, generation_000004, last. Choose one with --checkpoint"
 IN_FOLDERS = {
-    "train point-gather --preset smoke --out copy": r"copy already holds a run\. .*`shes resume .*--out",
-    "train point-gather --preset smoke --out file": r"file is a file, not a folder\. Choose another path with --out",
-    "train point-gather --preset smoke --out file/run": r"a part of the path is a file.*--out",
-    "resume copy": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
-    "resume copy --generations 2": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
-    "resume copy --sigma 1": r"--sigma would change the numbers of the run; resume takes --backend, .*--workers\.",
-    "evaluate copy --checkpoint 77": rf"there is no checkpoint .*generation_000077\.npz\. There are: {THERE}",
+    "train point-gather --preset smoke --out copy": "copy already holds a run. ... `shes resume ... --out",
+    "train point-gather --preset smoke --out file": "file is a file, not a folder. Choose another path with --out",
+    "train point-gather --preset smoke --out file/run": "a part of the path is a file ... --out",
+    "resume copy": "has made 4 generations, ... To go on: shes resume copy --generations 8",
+    "resume copy --generations 2": "has made 4 generations, ... To go on: shes resume copy --generations 8",
+    "resume copy --sigma 1": "--sigma would change the numbers of the run; resume takes --backend, ... --workers.",
+    "evaluate copy --checkpoint 77": f"there is no checkpoint ... generation_000077.npz. There are: {THERE}",
     "evaluate copy --checkpoint ../x": "there is no checkpoint",
-    "evaluate copy --workers -1": r"num_workers must be .*got -1\. Set --workers",
+    "evaluate copy --workers -1": "num_workers must be ... got -1. Set --workers",
 }
 
 
@@ -107,12 +107,6 @@ def test_what_does_not_fit_a_folder_is_refused_and_harms_nothing(line, refused, 
     assert contents(tmp_path) == before
 
 
-def test_resume_refuses_in_python_what_the_command_line_refuses(run_copy):
-    for name, message in {"sigma": "--sigma would change", "sigm": r"unknown setting 'sigm'\. resume takes"}.items():
-        with pytest.raises(ConfigError, match=message):
-            shes.resume(run_copy, generations=8, **{name: 1.0})
-
-
 # Checkpoints.
 
 
@@ -121,11 +115,11 @@ def test_a_damaged_checkpoint_is_refused_and_can_be_replaced(refused, run_copy, 
     last = checkpoints / "last.npz"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
     before = contents(run_copy)
-    message = r"last\.npz is not a whole SHES checkpoint .*--checkpoint last, best or a gener.*copy it over last\.npz"
+    message = "last.npz is not a whole SHES checkpoint ... --checkpoint last, best or a gener ... copy it over last.npz"
     refused("resume", run_copy, "--generations", "6", message=message)
     assert contents(run_copy) == before
     last.unlink()
-    refused("resume", run_copy, message=r"there is no checkpoint .*last\.npz\. .*copy it to last\.npz")
+    refused("resume", run_copy, message="there is no checkpoint ... last.npz. ... copy it to last.npz")
     shutil.copy(checkpoints / "generation_000002.npz", last)
     shes.resume(run_copy)
     assert runs.differences(tiny_run, run_copy) == []
@@ -136,7 +130,7 @@ def test_a_checkpoint_with_nan_is_refused(refused, run_copy):
         arrays = dict(file)
     arrays["primitive/theta"][-1] = np.nan
     np.savez(path, **arrays)
-    message = r"best\.npz holds NaN or infinity in primitive/theta\. Take an earlier checkpoint\."
+    message = "best.npz holds NaN or infinity in primitive/theta. Take an earlier checkpoint."
     refused("evaluate", run_copy, message=message)
 
 
@@ -144,7 +138,7 @@ def test_a_checkpoint_of_another_run_is_refused(refused, run_copy, tmp_path):
     other = runs.train_tiny(tmp_path / "other", sigma=0.5, seed=6)
     for name in ("last", "best"):
         shutil.copy(other / "checkpoints" / f"{name}.npz", run_copy / "checkpoints" / f"{name}.npz")
-    message = r"\.npz is of another run: seed is 6, not 5, sigma is 0\.5, not .*Put back the checkpoint"
+    message = ".npz is of another run: seed is 6, not 5, sigma is 0.5, not ... Put back the checkpoint"
     refused("resume", run_copy, "--generations", "6", message=f"last{message}")
     refused("evaluate", run_copy, message=f"best{message}")
 
@@ -158,8 +152,8 @@ def test_a_policy_that_returns_nan_ends_a_run_that_stays_intact(refused, run_cop
 
     monkeypatch.setattr("shes.evolution.strategies.from_arrays", damaged)  # a checkpoint with it would be refused
     before = shutil.copytree(run_copy, run_copy.with_name("before"))
-    message = r"policy of member \d+ returned NaN or infinity at step 0"
-    message += ".*parameters of its primitive are not finite" if level == "primitive" else ""
+    message = "policy of member ... returned NaN or infinity at step 0"
+    message += " ... parameters of its primitive are not finite" if level == "primitive" else ""
     refused("resume", run_copy, "--generations", "6", message=message, code=FAILED)
     assert runs.differences(before, run_copy) == []
     assert not list(run_copy.rglob("*.part"))
@@ -195,8 +189,8 @@ def test_a_file_that_is_cut_off_ends_a_run_and_loses_nothing(tmp_path, tiny_run,
         sizes = [file.stat().st_size for file in path.rglob("*") if name in str(file) and file.is_file()]
         set_limit(sizes[0] // 2 if name.endswith("npz") else sum(sizes) + 20)
 
-    message = rf"cannot write .*{name}.*: the file is larger than allowed here: raise the limit.*`shes resume`"
-    with limited() as set_limit, pytest.raises(ShesError, match=message) as error:
+    message = f"cannot write ... {name} ... : the file is larger than allowed here: raise the limit ... `shes resume`"
+    with limited() as set_limit, raises(ShesError, message) as error:
         runs.train_tiny(path, listener=runs.AfterGeneration(generation, limit))
     assert error.value.exit_code == MENDABLE
     del error
@@ -213,8 +207,8 @@ def test_a_file_that_is_cut_off_ends_a_run_and_loses_nothing(tmp_path, tiny_run,
 @pytest.mark.parametrize(
     ("is_full", "message"),
     [
-        (True, r"cannot write .*progress\.csv: the disk is full: make room.*`shes resume`"),
-        (False, r"progress\.csv was removed while the run went on\. Restore it, then `shes resume`"),
+        (True, "cannot write ... progress.csv: the disk is full: make room ... `shes resume`"),
+        (False, "progress.csv was removed while the run went on. Restore it, then `shes resume`"),
     ],
 )
 def test_a_full_disk_or_a_lost_table_loses_no_row(tmp_path, tiny_run, is_full, message):
@@ -225,7 +219,7 @@ def test_a_full_disk_or_a_lost_table_loses_no_row(tmp_path, tiny_run, is_full, m
         if is_full:
             table.symlink_to("/dev/full")
 
-    with pytest.raises(ShesError, match=message):
+    with raises(ShesError, message):
         runs.train_tiny(tmp_path / "run", listener=runs.AfterGeneration(1, fill))
     kept.replace(table)
     shes.resume(tmp_path / "run")
@@ -236,7 +230,7 @@ def test_a_disk_full_at_the_start_leaves_a_folder_to_use_again(tmp_path, tiny_ru
     path = tmp_path / "run"
     with limited() as set_limit:
         set_limit(5000)
-        with pytest.raises(ShesError, match=r"cannot write .*generation_000000\.npz"):
+        with pytest.raises(StorageError):
             runs.train_tiny(path)
     assert not list(path.rglob("*.part"))
     runs.train_tiny(path)
@@ -272,8 +266,8 @@ def test_a_run_in_a_read_only_folder_can_be_evaluated_only(refused, tmp_path, ru
     for folder in (locked, run_copy, run_copy / "checkpoints"):
         folder.chmod(0o555)
     with bound_by_permissions():
-        refused(*TRAIN, "--out", locked / "run", message=r"cannot write .*locked/run: permission denied: .*--out")
-        message = r"cannot write .*(\.lock|config\.json|progress\.csv): permission denied"
+        refused(*TRAIN, "--out", locked / "run", message="cannot write ... locked/run: permission denied: ... --out")
+        message = "cannot write ... : permission denied"
         refused("resume", run_copy, "--generations", "6", message=message)
         assert main(["evaluate", str(run_copy), "--episodes", "2", "--workers", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["episodes"] == 2

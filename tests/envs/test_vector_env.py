@@ -2,16 +2,15 @@
 
 import copy
 import pickle
-import re
 
 import gymnasium
 import numpy as np
 import pytest
 
 import shes  # registers
-from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
-from shes.gymnasium.env import TaskEnv
+from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.gymnasium.vector_env import TaskVectorEnv
+from tests.messages import raises
 
 assert shes
 
@@ -59,38 +58,15 @@ def test_an_action_may_be_of_any_size_or_a_list(begin):
 def test_an_action_without_numbers_is_refused(begin):
     env = begin()
     for wrong in ("forward", None, {"leg": 1}, ["1"] * 8, [[0.0], [0.0, 1.0]], np.full(8, 1j)):
-        message = rf"an action must be an array of numbers in \[-1, 1\], got .*{re.escape(repr(wrong)[:6])}"
-        with pytest.raises(PolicyError, match=message):
+        with raises(PolicyError, f"an action must be an array of numbers in [-1, 1], got ... {repr(wrong)[:6]}"):
             env.step(wrong)
     for value in (np.nan, np.inf):
-        with pytest.raises(PolicyError, match=r"NaN or infinity; actions lie in \[-1, 1\]"):
+        with raises(PolicyError, "NaN or infinity; actions lie in [-1, 1]"):
             env.step(np.full(env.action_space.shape, value))
     num_envs, size = len(np.atleast_2d(env.action_space.sample())), env.action_space.shape[-1]
-    each = rf" in each of {num_envs} environments; got \(3, {size}\)" if num_envs > 1 else rf"; got \({3 * size},\)"
-    with pytest.raises(ShapeError, match=rf"ant-gather has shape \({size},\){each}"):
+    each = f" in each of {num_envs} environments; got (3, {size})" if num_envs > 1 else f"; got ({3 * size},)"
+    with raises(ShapeError, f"ant-gather has shape ({size},){each}"):
         env.step(np.zeros((3, size) if num_envs > 1 else 3 * size))
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"integrater": "rk4"}, ConfigError, "no option 'integrater'. Options: integrator"),
-        ({"observe_block": True}, ConfigError, "no option 'observe_block'. Options: "),
-        ({"integrator": "rk5"}, UnknownNameError, "Did you mean 'rk4'"),
-        ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
-        ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
-        ({"render_mode": "ansi"}, UnknownNameError, "unknown render_mode 'ansi'"),
-    ],
-)
-def test_a_wrong_option_is_refused(options, error, message):
-    for make_env in (TaskEnv, TaskVectorEnv):
-        with pytest.raises(error, match=message):
-            make_env("point-maze", **options)
-
-
-def test_render_needs_a_mode(begin):
-    with pytest.raises(ConfigError, match='render_mode="rgb_array"'):
-        begin().render()
 
 
 def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
@@ -123,13 +99,13 @@ MASK = "reset_mask must be a Boolean array of shape (3,); got {}"
 )
 def test_a_wrong_argument_is_refused(use, message, values):
     for wrong in values:
-        with pytest.raises(ConfigError, match=re.escape(message.format(repr(wrong)))):
+        with raises(ConfigError, message.format(repr(wrong))):
             use(wrong)
 
 
 def test_seeds_may_be_numpys_and_some_may_be_left_open():
     env = make()
-    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+    with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(np.zeros((3, 2)))
     by_number, *same = (env.reset(seed=seed)[0] for seed in (np.int64(5), [5, 6, 7], np.array([5, 6, 7])))
     for other in same:

@@ -11,6 +11,7 @@ from shes.errors import ConfigError, ShapeError, UnknownNameError
 from shes.es import EvolutionStrategy
 from shes.es.noise import NoiseTable
 from shes.es.perturbation import MIRRORINGS, PERTURBATIONS
+from tests.messages import raises
 from tests.rollout.formula import DIMS, evolving, formula, formula_run, formula_state
 
 TABLE_SIZE = 20_000
@@ -127,28 +128,28 @@ def test_shapes_follow_the_levels(dim, shapes, fitness):
     ("changes", "error", "message"),
     [
         ({"dim": 0}, ConfigError, "dim must be a positive whole number, or one per level, got 0"),
-        ({"dim": ()}, ConfigError, r"dim must be .* got \(\)"),
-        ({"dim": (3, -1)}, ConfigError, r"got \(3, -1\)"),
+        ({"dim": ()}, ConfigError, "dim must be ... got ()"),
+        ({"dim": (3, -1)}, ConfigError, "got (3, -1)"),
         ({"sigma": 0}, ConfigError, "sigma must be a number greater than 0, got 0"),
         ({"seed": -1}, ConfigError, "seed must be a whole number of at least 0, got -1"),
-        ({"population_size": 41}, ConfigError, r"multiple of 2, .*got 41\. Set --population-size 40 or 42"),
-        ({"dim": (2, 5), "noise_table_size": 9}, ConfigError, "is 9, but a level has 5 parameters .* at least 10"),
-        ({"mirrored": "quadd"}, UnknownNameError, r"mirroring 'quadd'.*'quad'\?.*Known: quad, none, pair.*--mirrored"),
-        ({"perturbation": "many"}, UnknownNameError, r"perturbation 'many'.*Known: .*--perturbation"),
-        ({"fitness_shaping": "pair_rnk"}, UnknownNameError, r"shaping 'pair_rnk'.*'pair_rank'\?.*--fitness-shaping"),
-        ({"optimizer": "adm"}, UnknownNameError, r"optimizer 'adm'.*'adam'\?.*--optimizer"),
-        ({"initial": np.zeros(4)}, ShapeError, r"initial must have the shape of dim \(5,\), got \[\(4,\)\]"),
+        ({"population_size": 41}, ConfigError, "multiple of 2, ... got 41. Set --population-size 40 or 42"),
+        ({"dim": (2, 5), "noise_table_size": 9}, ConfigError, "is 9, but a level has 5 parameters ... 10. Raise --n"),
+        ({"mirrored": "quadd"}, UnknownNameError, "mirroring 'quadd' ... --mirrored"),
+        ({"perturbation": "many"}, UnknownNameError, "perturbation 'many' ... Known: ... --perturbation"),
+        ({"fitness_shaping": "pair_rnk"}, UnknownNameError, "shaping 'pair_rnk' ... --fitness-shaping"),
+        ({"optimizer": "adm"}, UnknownNameError, "optimizer 'adm' ... --optimizer"),
+        ({"initial": np.zeros(4)}, ShapeError, "initial must have the shape of dim (5,), got [(4,)]"),
         *(({"dim": 1, "initial": [x]}, ConfigError, "initial holds NaN, infinity") for x in (np.nan, np.inf, 1e39)),
-        ({"dim": (2, 2), "initial": [np.zeros(2)]}, ShapeError, r"dim \(2, 2\), got \[\(2,\)\]"),
+        ({"dim": (2, 2), "initial": [np.zeros(2)]}, ShapeError, "dim (2, 2), got [(2,)]"),
     ],
 )  # fmt: skip
 def test_a_wrong_argument_is_refused(changes, error, message):
-    with pytest.raises(error, match=message):
+    with raises(error, message):
         _make(**changes)
 
 
 def test_a_state_of_another_strategy_is_refused():
-    with pytest.raises(ShapeError, match=r"state has levels of \[5\], dim is \(6,\)"):
+    with raises(ShapeError, "state has levels of [5], dim is (6,)"):
         _make(6, state=_make(5).state)
-    with pytest.raises(ConfigError, match="'sgd' keeps velocity, but state is of an optimizer that keeps first"):
+    with raises(ConfigError, "'sgd' keeps velocity, but state is of an optimizer that keeps first"):
         _make(optimizer="sgd", state=_make().state)

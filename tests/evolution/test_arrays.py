@@ -11,6 +11,7 @@ from shes.rollout.episodes import Snapshot
 from shes.runs.build import build_algorithm
 from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
 from shes.runs.make_config import make_config
+from tests.messages import raises
 from tests.rollout.formula import bits
 
 
@@ -50,7 +51,7 @@ def ending_in(value):
     return lambda array: np.append(array.ravel()[:-1], value).reshape(array.shape).astype(array.dtype)
 
 
-OTHER, NAN = "holds {} as .*, where this run has ", "NaN or infinity in {}"
+OTHER, NAN = "holds {} as ... , where this run has ", "NaN or infinity in {}"
 OF_RUN = "is not of this run: it {} Put back"
 CHANGES = [
     ("controller/theta", lambda array: array[:-1], OTHER),
@@ -67,12 +68,12 @@ HARMS = [
     (lambda arrays: {**arrays, "z": np.zeros(1)}, OF_RUN.format("has z.")),
     (lambda arrays: {**without("seed")(arrays), "z": np.zeros(1)}, OF_RUN.format("lacks seed and has z.")),
     (without("running/steps"), OF_RUN.format("lacks running/steps.")),
-    *((lambda arrays, at=name, do=change: {**arrays, at: np.asarray(do(arrays[at]))}, f".*{told.format(name)}")
+    *((lambda arrays, at=name, do=change: {**arrays, at: np.asarray(do(arrays[at]))}, f" ... {told.format(name)}")
       for name, change, told in CHANGES),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("harm", "message"), HARMS)
 def test_arrays_that_are_not_of_this_run_are_refused(learner, arrays, harm, message):
-    with pytest.raises(CheckpointError, match=rf"^a\.npz {message}"):
+    with raises(CheckpointError, f"a.npz {message}"):
         restore(Checkpoint(arrays=harm(arrays), best=Best(), numbers={}), learner.from_arrays, Path("a.npz"))

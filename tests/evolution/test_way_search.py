@@ -7,7 +7,6 @@ import pytest
 
 import shes
 from shes.backends.backend import Backend
-from shes.errors import ConfigError
 from shes.evolution import way_search
 from shes.evolution.estimates import draw_episodes
 from shes.evolution.state import PATIENCE, Archive
@@ -186,24 +185,3 @@ def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path):
     assert len(algorithm.explored(shipped).places) > 1
     assert algorithm.explored(shipped).way.tolist() == state.archive.way[:, :2].tolist()
     assert algorithm.from_arrays(algorithm.to_arrays(shipped)).archive.is_over
-
-
-@pytest.mark.parametrize(
-    ("env", "settings", "message"),
-    [
-        ("point-gather", {}, r"point-gather has no target with a way.*only Maze, Push and Fall.* Set --explore none"),
-        ("gymnasium:Pendulum-v1", {}, r"Pendulum-v1 has no target with a way.* Set --explore none"),
-        ("point-flagrun", {"primitive_view": None}, r"explore is not a setting of a run of point-flagrun.* Omit"),
-        ("point-maze", {}, r"the training target is random\. Set --target, e\.g\. --target 0 16, or --explore none"),
-        ("point-maze", {"target": (8.0, 0.0)}, r"16\.0\), while .* is \(8\.0, 0\.0\)\. Set --target 0 16"),
-        ("point-push", {"explore_horizon": 9}, r"must be at least controller_interval, 25.*, got 9\. Set"),
-        ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
-        ("point-push", {"primitive_view": "observation"}, r"sees the task's .* Set --primitive-view egocentric or p"),
-        ("point-push", {"explore": "none", "explore_horizon": 9}, r"explore_horizon has no effect with explore 'none'"),
-    ],
-)
-def test_where_no_way_can_be_searched_for_the_fix_is_named(env, settings, message):
-    settings = {"explore": "archive", "primitive_view": "egocentric", **settings}
-    settings = {name: value for name, value in settings.items() if value is not None}
-    with pytest.raises(ConfigError, match=message):
-        make_config(env, "smoke", settings)

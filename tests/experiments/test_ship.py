@@ -10,7 +10,6 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.ship import ship
-from shes.errors import ShesError
 from shes.runs import shipped
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.evaluate import evaluate
@@ -120,21 +119,3 @@ def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
         assert (columns["env_steps"] == 12345678 * columns["generation"]).all()
         assert columns["wall_time_s"][-1] == 142.857
         assert np.isnan(columns["score_mean"]).all()
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"name": "../Ant"}, r"name must be small letters, digits and hyphens, e\.g\. ant-walker, got '\.\./Ant'"),
-        ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
-        ({"episodes": 0}, r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
-        ({"checkpoint": "0"}, r"has no evaluation yet, .*Train it further first"),
-        ({"name": "there"}, r"there exists already\. Delete it first, or choose another name"),
-    ],
-)
-def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
-    (tmp_path / "there").mkdir()
-    words = {"name": "good", **TOLD, "episodes": 1, "num_workers": 1, "into": tmp_path, **changed}
-    with pytest.raises(ShesError, match=message):
-        ship(tiny_run, **words)
-    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]

@@ -9,6 +9,7 @@ from shes.agents import goals, rewards
 from shes.errors import ConfigError
 from shes.options import make
 from tests.e2e.own_classes import Nearness, Vector
+from tests.messages import raises
 from tests.rollout import plain_agent
 
 TURNS = ("one_hot", "heading_vector", "heading_direction")
@@ -111,12 +112,12 @@ class Column(Nearness):
 @pytest.mark.parametrize(
     ("registry", "wrong", "message"),
     [
-        (goals.GOAL_ENCODINGS, Forgetful, r"write .* each of its 4 features .*left \[1\.0, 1\.0, .*, nan\]\. .*`size`"),
-        (goals.CONTROLLER_OUTPUTS, Sideways, r"return an array \[N, 2\].*for 3 episodes .* \(2, 3\), not \(3, 2\)"),
-        (rewards.PRIMITIVE_REWARDS, Column, r"return an array \[N\].*for 2 episodes it .* \(2, 1\), not \(2,\)"),
+        (goals.GOAL_ENCODINGS, Forgetful, "write ... its 4 features ... left [1.0, 1.0, ... , nan]. ... `size`"),
+        (goals.CONTROLLER_OUTPUTS, Sideways, "return an array [N, 2] ... for 3 episodes ... (2, 3), not (3, 2)"),
+        (rewards.PRIMITIVE_REWARDS, Column, "return an array [N] ... for 2 episodes it ... (2, 1), not (2,)"),
     ],
 )
 def test_a_choice_of_a_wrong_shape_is_refused(registry, wrong, message, monkeypatch):
     monkeypatch.setitem(registry, "own", wrong)  # forgotten after this test
-    with pytest.raises(ConfigError, match=rf"{registry.kind} 'own' must {message}"):
+    with raises(ConfigError, f"{registry.kind} 'own' must {message}"):
         make(registry, "own", {})

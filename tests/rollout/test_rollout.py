@@ -10,6 +10,7 @@ from shes.errors import PolicyError
 from shes.es.noise import NoiseTable
 from shes.rollout.episodes import EpisodeTask, Generation
 from shes.rollout.lockstep import Rollout
+from tests.messages import raises
 from tests.rollout import designs
 from tests.rollout.fake_task import FakeEnvironment, FakeTask, make_seed
 from tests.rollout.formula import bits
@@ -131,19 +132,19 @@ def test_tasks_are_taken_when_a_lane_is_free():
 
 
 def test_a_policy_of_nan_is_refused_by_member_and_level():
-    message = r"member 3 returned NaN or infinity at step 0 \(parameters of its controller are not finite\).*--sigma"
+    message = "member 3 returned NaN or infinity at step 0 (parameters of its controller are not finite) ... --sigma"
     table = table_of(8000)
     tasks = [replace(task, noise_index=(500 * m, 4000), signs=((1, 1),)) for m, task in enumerate(tasks_of()[:4])]
     table.values[1500 + DESIGN.dims[0] - 1] = np.nan
     rollout, sound = rollout_of(4), tasks_of()
     for order in (tasks, tasks[::-1]):
-        with pytest.raises(PolicyError, match=message):
+        with raises(PolicyError, message):
             results_of(rollout, order, table=table)
         for some in (sound[:1], sound):  # it works again; lanes without work may be left with anything
             assert bits(results_of(rollout, some)) == bits(results_of(rollout_of(3), some))
     group, generation = tasks_of(of=GROUPS)[3], generation_of(of=GROUPS)
     generation.levels[1].theta[0] = np.nan
-    with pytest.raises(PolicyError, match=r"member 14 .*parameters of its primitive are not finite"):
+    with raises(PolicyError, "member 14 ... parameters of its primitive are not finite"):
         results_of(rollout_of(2, of=GROUPS), [replace(group, slots=(2,), seeds=group.seeds[2:3])], generation)
 
 
@@ -153,5 +154,5 @@ def test_an_observation_of_nan_does_not_blame_parameters():
 
     seeds = [tuple(make_seed(draw=10 * m + k) for k in range(3)) for m in range(len(tasks_of()))]
     tasks = [replace(task, seeds=own) for task, own in zip(tasks_of(), seeds, strict=True)]
-    with pytest.raises(PolicyError, match=rf"member 9 returned NaN .* at step 7; episode seed {tasks[9].seeds[1]}\."):
+    with raises(PolicyError, f"member 9 returned NaN ... at step 7; episode seed {tasks[9].seeds[1]}."):
         results_of(rollout_of(2, make=lambda n: FakeTask(n, on_step)), tasks[8:10])

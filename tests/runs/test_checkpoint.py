@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from shes.errors import CheckpointError, ConfigError, StorageError
 from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
+from tests.messages import raises
 
 NUMBERS = {"env": "point-gather", "sigma": 0.1 + 0.2, "hidden": [4, 4]}
 NOT_WHOLE = "is not a whole SHES checkpoint"
@@ -73,7 +74,7 @@ def test_the_counts_are_read_without_the_state(path):
 
 def test_a_learner_has_no_array_of_the_runs_own_names(tmp_path):
     taken = replace(make(), arrays={**make().arrays, "settings": np.zeros(3)})
-    with pytest.raises(ConfigError, match=r"to_arrays\(\) names an array settings, which"):
+    with raises(ConfigError, "to_arrays() names an array settings, which"):
         save_checkpoint(tmp_path / "a.npz", taken)
     assert list(tmp_path.iterdir()) == []
 
@@ -106,7 +107,7 @@ def test_values_that_no_run_writes_are_refused(path, name, value):
     change(path, **{name: value})
     has_other_format = name == "format" and value is not None and value.dtype != object
     message = f"has checkpoint format {value}; this version of SHES reads 2" if has_other_format else NOT_WHOLE
-    with pytest.raises(CheckpointError, match=rf"a\.npz {message}") as error:
+    with raises(CheckpointError, f"a.npz {message}") as error:
         load_checkpoint(path)
     assert len(str(error.value)) < 800
 
@@ -142,7 +143,7 @@ def test_damage_is_noticed_or_harmless(whole, share, value):
     assert_same(read, make())
 
 
-FULL = (errno.ENOSPC, "the disk is full: make room, then start again .*`shes resume`")
+FULL = (errno.ENOSPC, "the disk is full: make room, then start again ... `shes resume`")
 
 
 @pytest.mark.parametrize(
@@ -163,7 +164,7 @@ def test_a_failed_write_leaves_the_old_checkpoint_alone(tmp_path, monkeypatch, p
     path = tmp_path / "last.npz"
     save_checkpoint(path, make(1))
     monkeypatch.setattr(place, fail)
-    with pytest.raises(StorageError, match=rf"cannot write .*last\.npz: {message}.*What was there before is untouched"):
+    with raises(StorageError, f"cannot write ... last.npz: {message} ... What was there before is untouched"):
         save_checkpoint(path, make(2))
     monkeypatch.undo()
     assert_same(load_checkpoint(path), make(1))

@@ -21,6 +21,7 @@ from shes.runs.make_config import make_config
 from shes.runs.named_algorithms import PRESET_NAMES
 from shes.settings import Gt, Settings, Shared
 from tests.e2e import own_classes, runs
+from tests.messages import raises
 
 EXECUTION = {
     "preset": "paper", "backend": "serial", "num_workers": 3, "chunk_size": 7, "device": "cuda", "nconmax": 3,
@@ -42,8 +43,6 @@ def test_sections_are_those_of_the_algorithm():
         config = TrainConfig.of(env=env, algorithm=algorithm)
         expected = [*sections.split(), "environment", "episodes", "evaluation"]
         assert list(config.sections) == list(config.to_dict()) == expected
-    with pytest.raises(AttributeError, match="no section of settings 'hierarchy' here; it has run, "):
-        _ = config.hierarchy
 
 
 def test_settings_that_never_change_numbers_are_marked():
@@ -58,30 +57,50 @@ def test_a_run_has_at_most_as_many_settings_as_can_be_read():
 
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric"}
+SEARCHED = {"explore": "archive", "primitive_view": "egocentric"}
 REFUSED = [
-    # Settings that no run can have; the message.
-    ({"workers": 4}, r"unknown setting 'workers'\. Did you mean 'num_workers'\?$"),
-    ({"qqq": 1}, r"unknown setting 'qqq'\. `shes train ENV --help-all` lists the settings\.$"),
-    ({"env": 3}, r"env must be a name, got 3\. Set --env"),
-    ({"mirrored": "trio"}, r"unknown mirroring 'trio'\. Known: none, pair, quad\. Set --mirrored"),
-    ({"primitive_reward": "pow", "exponent": 2}, r"unknown primitive reward 'pow'\. .*Register .* --import MODULE\.$"),
-    ({"population_size": 18}, r"population_size must be a positive multiple of 4, .*got 18\. Set .*-size 16 or 20"),
-    ({"population_size": 7, "mirrored": "pair"}, r"population_size must be .*7\. .*6 or 8"),
-    ({"population_size": 10, "perturbation": "one_to_many_halves"}, r"multiple of 4, a group of 2 .*10\. .*8 or 12"),
-    ({"fitness_shaping": "pair_rank"}, r"with mirrored 'quad' a group has 4 member"),
-    ({"symmetry": "rotation"}, r"'rotation', but the primitive's view is 'observation'.*Set --primitive-v"),
-    ({"primitive_estimate": "interval"}, r"but the primitive sees the task's observation.*egocentric or "),
-    ({**BRANCHES, "primitive_population_size": 3}, "size must be an even number: branches are mirrored pairs, got 3"),
-    ({"env": "point-flagrun", "primitive": "run"}, "'run' is frozen, so nothing .* of point-flagrun. Set --no-freeze"),
-    ({"controller": ""}, r"controller must be a name, e\.g\. --controller runs/walk, got ''\. Set --controller"),
-    ({"env": "robotics-ant-maze", "device": "cuda"}, r"'cuda', but robotics-ant-maze has physics.*Set --device cpu"),
-]
+    # Environment; settings beyond those of `smoke`; the message.
+    ("point-gather", {"workers": 4}, "unknown setting 'workers'. Did you mean 'num_workers'?"),
+    ("point-gather", {"qqq": 1}, "unknown setting 'qqq'. `shes train ENV --help-all` lists the settings."),
+    (3, {}, "env must be a name, got 3. Set --env"),
+    ("point-gather", {"mirrored": "trio"}, "unknown mirroring 'trio'. Known: none, pair, quad. Set --mirrored"),
+    ("point-gather", {"primitive_reward": "pow", "exponent": 2}, "primitive reward 'pow'. ... --import MODULE."),
+    ("point-gather", {"algorithm": "hero"}, "algorithm 'hero'. Did you mean 'hiro' ... shes.register_algorithm"),
+    ("point-gather", {"population_size": 18}, "must be a positive multiple of 4, ... got 18. Set ... -size 16 or 20"),
+    ("point-gather", {"fitness_shaping": "pair_rank"}, "with mirrored 'quad' a group has 4 member"),
+    ("point-gather", {"symmetry": "rotation"}, "'rotation', but the primitive's view is ... Set --primitive-v"),
+    ("point-gather", {"primitive_estimate": "interval"}, "but the primitive sees the task's ... egocentric or "),
+    ("point-gather", {**BRANCHES, "primitive_population_size": 3}, "must be an even number: ... mirrored pairs, got 3"),
+    ("ant-flagrun", {"primitive": "ant-walker"}, "is frozen, so nothing ... of ant-flagrun. Set --no-freeze"),
+    ("point-gather", {"controller": ""}, "controller must be a name, e.g. --controller runs/walk, got ''. Set --contr"),
+    ("gymnasium:Pendulum-v1", {"device": "cuda"}, "'cuda', but gymnasium:P ... has physics ... Set --device cpu"),
+    ("ant-maze", {"preset": "paper", "algorithm": "hiro"}, "is for algorithm shes or es, got ... Set --preset laptop"),
+    ("ant-maze", {"preset": "papr"}, "unknown preset 'papr'. Did you mean 'paper'? ... Set --preset"),
+    # Like another run.
+    (None, {"like": "gone"}, "gone does not exist. Give the folder that `shes train` printed"),
+    (None, {"like": "ant-maze", "algorithm": "es"}, "primitive is 'ant-walker' in ant-maze, but it is not a setting"),
+    (None, {"like": "ant-walker"}, "took its primitive from fifth-walker, ... --primitive ant-walker, or set"),
+    (None, {"like": 3}, "a run must be the path of its folder or the name of a shipped agent, got 3."),
+    ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
+    ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
+    ("ant-gather", {"like": "ant-maze", "preset": "smoke"}, "preset has no effect with like, got 'smoke'. Omit --p"),
+    # Search for a way.
+    ("point-gather", SEARCHED, "point-gather has no target with a way ... only Maze, Push and Fall ... --explore none"),
+    ("gymnasium:Pendulum-v1", SEARCHED, "Pendulum-v1 has no target with a way ... Set --explore none"),
+    ("point-flagrun", {"explore": "archive"}, "explore is not a setting of a run of point-flagrun ... Omit"),
+    ("point-maze", SEARCHED, "the training target is random. Set --target, e.g. --target 0 16, or --explore none"),
+    ("point-maze", {**SEARCHED, "target": (8.0, 0.0)}, "16.0), while ... is (8.0, 0.0). Set --target 0 16"),
+    ("point-push", {**SEARCHED, "explore_horizon": 9}, "must be at least controller_interval, 25 ... , got 9. Set"),
+    ("point-push", {"explore": "archive", "primitive_view": "observation"},
+     "sees the task's ... Set --primitive-view egocentric or p"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("settings", "message"), REFUSED, ids=str)
-def test_settings_that_no_run_can_have_are_refused(settings, message):
-    with pytest.raises((ConfigError, UnknownNameError), match=message):
-        TrainConfig.of(**{"env": "point-gather", **settings})
+@pytest.mark.parametrize(("env", "settings", "message"), REFUSED, ids=str)
+def test_settings_that_no_run_can_have_are_refused(env, settings, message):
+    preset = settings.get("preset", None if "like" in settings else "smoke")
+    with raises((ConfigError, UnknownNameError, RunFolderError), message):
+        make_config(env, preset, {name: value for name, value in settings.items() if name != "preset"})
 
 
 @pytest.mark.parametrize("env", ["point-gather", "point-flagrun", "robotics-ant-maze"])
@@ -108,8 +127,6 @@ def test_what_is_newer_than_a_record_has_its_default():
     record = make().to_dict()
     del record["exploration"], record["workers"]["chunk_size"]
     assert TrainConfig.from_dict(record) == make()
-    with pytest.raises(ConfigError, match="the configuration names no environment"):
-        TrainConfig.from_dict({**record, "run": {}})
 
 
 def test_workers_are_all_cores_unless_said(monkeypatch):
@@ -148,22 +165,26 @@ def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tm
 def test_observations_that_their_spec_does_not_name_are_refused(monkeypatch):
     shy = type("Shy", (own_classes.Corner,), {"observe": lambda self: own_classes.Corner.observe(self)[:, :-1]})
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, shy))
-    message = r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change observation_spec"
-    with pytest.raises(ShapeError, match=message):
+    message = "'point-corner' must observe [N, 6], ... for 1 episode it observed (1, 5). Change observation_spec"
+    with raises(ShapeError, message):
         build_algorithm(make_config("point-corner", "smoke"))
 
 
 @pytest.mark.parametrize(
     ("name", "option", "message"),
     [
-        ("sigma", (Annotated[float, Gt(0)], 3.0), "is a setting .*'evolution' .*'environment' .*Own.*other name"),
-        ("controller_interval", (Annotated[int, Shared()], 10), ".*default 25.* .*default 10, .*both the same default"),
+        (
+            "sigma",
+            (Annotated[float, Gt(0)], 3.0),
+            "is a setting ... 'evolution' ... 'environment' ... Own ... other name",
+        ),
+        ("controller_interval", (Annotated[int, Shared()], 10), "default 25 ... default 10, ... both the same default"),
     ],
 )
 def test_a_task_has_no_option_with_the_name_of_another_setting(monkeypatch, name, option, message):
     task = type("OwnTask", (own_classes.Corner,), {"Options": options_of(TaskOptions, **{name: option})})
     monkeypatch.setitem(ENVIRONMENTS, "point-mypush", Environment(Point, task))
-    with pytest.raises(ConfigError, match=f"'{name}' {message}"):
+    with raises(ConfigError, f"'{name}' ... {message}"):
         make_config("point-mypush", "smoke", {})
 
 
@@ -180,7 +201,7 @@ PAPER = {
     "fitness_shaping": "centred_rank_index", "optimizer": "adam", "primitive_reward": "progress",
     # What makes the ant learn in the other presets is not the paper's (docs/learning.md).
     "primitive_view": "observation", "controller_view": "observation", "symmetry": "none", "clock_frequency": None,
-    "primitive_estimate": "episode", "output_weights": "glorot_normal", "max_tilt": None, "waypoints": None,
+    "primitive_estimate": "episode", "output_weights": "glorot_normal", "max_tilt": None,
     "explore": "none", "freeze_primitive": True, "reset_noise": 0.0, "evaluation_episodes": 10,
     "noise_table_size": 250_000_000,
 }  # fmt: skip
@@ -192,7 +213,7 @@ def test_the_paper_preset_has_the_numbers_of_table_one(env):
     expected = {**PAPER, "population_size": 256} if env in ("ant-flagrun", "point-flagrun") else PAPER
     shared = expected.keys() & values.keys()
     assert {name: values[name] for name in shared} == {name: expected[name] for name in shared}
-    assert "flagrun" in env or expected.keys() - shared <= {"max_tilt", "waypoints"}
+    assert "flagrun" in env or expected.keys() - shared <= {"max_tilt"}
 
 
 def test_the_paper_preset_evaluates_as_it_trains():
@@ -207,19 +228,13 @@ def test_the_paper_preset_evaluates_as_it_trains():
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_every_preset_suits_every_environment(env, preset):
     if "hiro" in preset and "flagrun" in env:
-        with pytest.raises(ConfigError, match=f"{env} sets the goals, so the controller of hiro has nothing to learn"):
+        with pytest.raises(ConfigError):
             make_config(env, preset)
         return
     config = make_config(env, preset)
     assert (config.run.env, config.run.preset) == (env, preset)
     if "hiro" not in preset:  # it may set what has no effect
         assert make_config(env, preset, {"algorithm": "es"}).run.preset == preset
-
-
-def test_a_preset_is_for_the_algorithms_that_have_it():
-    message = r"preset 'paper' is for algorithm shes or es, got algorithm 'hiro'\. Set --preset laptop, smoke, hiro-pap"
-    with pytest.raises(ConfigError, match=message):
-        make_config("ant-maze", "paper", {"algorithm": "hiro"})
 
 
 def test_the_presets_of_hiro_have_the_published_numbers():
@@ -261,48 +276,26 @@ def test_a_run_like_another_has_its_settings_but_not_its_seed(tmp_path):
 
 
 def test_what_a_run_like_a_shipped_agent_takes():
-    config, usual = make_config("ant-maze", None, {"like": "ant-gather"}), make_config("ant-maze")
-    assert (config.values["primitive"], config.values["waypoints"]) == ("ant-walker", usual.values["waypoints"])
+    assert make_config("ant-maze", None, {"like": "ant-gather"}).values["primitive"] == "ant-walker"
     for primitive in ("ant-walker", None):  # what the error below says to give instead
         values = make_config(None, None, {"like": "ant-walker", "primitive": primitive}).values
         assert (values["primitive"], values["freeze_primitive"]) == (primitive, False)
 
 
-LIKE = [
-    (None, {"like": "gone"}, r"gone does not exist\. Give the folder that `shes train` printed"),
-    (None, {"like": "ant-maze", "algorithm": "es"}, "primitive is 'ant-walker' in ant-maze, but it is not a setting"),
-    (
-        None,
-        {"like": "ant-walker"},
-        "^ant-walker took its primitive from fifth-walker, .* --primitive ant-walker, or set",
-    ),
-    (None, {"like": 3}, r"a run must be the path of its folder or the name of a shipped agent, got 3\.$"),
-    ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
-    ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
-    ("ant-gather", {"like": "ant-maze", "preset": "smoke"}, "preset has no effect with like, got 'smoke'. Omit --p"),
-]
-
-
-@pytest.mark.parametrize(("env", "settings", "message"), LIKE)
-def test_a_run_that_cannot_be_like_another_is_refused(env, settings, message):
-    with pytest.raises((ConfigError, RunFolderError), match=message):
-        make_config(env, settings.get("preset"), {k: v for k, v in settings.items() if k != "preset"})
-
-
-OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
+OF_INTERVALS = "is evaluated by intervals: it applies to whole episodes only; ... --primitive-estimate episode"
 ON_WALKER = {"primitive": "ant-walker"}
-FROZEN = r"{name} has no effect on a frozen primitive; got {value}"
-NO_SETTING = r"{name} is not a setting of a run of %s with algorithm '%s', got {value}. Omit --{flag}."
-ONE_PROCESS = r"{name} is '?{value}'?, but one process serves device cuda. Omit --"
+FROZEN = "{name} has no effect on a frozen primitive; got {value}"
+NO_SETTING = "{name} is not a setting of a run of %s with algorithm '%s', got {value}. Omit --{flag}."
+ONE_PROCESS = "{name} is ... {value} ... , but one process serves device cuda. Omit --"
 NO_BUFFERS = "{name} has no effect with device 'cpu', got {value}. Set --device to warp-cpu or cuda, or omit --{name}"
 IDLE = [
     # Environment; a setting that has no effect, and others; the message; what helps.
     ("point-gather", {"schedule_generations": 50},
-     "{name} has no effect with sigma_end None, learning_rate_end None, got 50.*omit --sched", {"sigma_end": 0.01}),
+     "{name} has no effect with sigma_end None, learning_rate_end None, got 50 ... --sched", {"sigma_end": 0.01}),
     ("ant-gather", {"freeze_primitive": False},
-     r"{name} has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive", ON_WALKER),
+     "{name} has no effect with primitive None, got False. Set --primitive, or omit --freeze-primitive", ON_WALKER),
     ("point-gather", {"primitive_checkpoint": "last"},
-     "{name} has no effect with primitive None.*omit --primitive-checkpoint", None),
+     "{name} has no effect with primitive None ... omit --primitive-checkpoint", None),
     ("ant-maze", {"explore_horizon": 900, "explore": "none"},
      "{name} has no effect with explore 'none', got 900", {"explore": "archive"}),
     ("ant-gather", {"perturbation": "one_to_many"},
@@ -310,15 +303,15 @@ IDLE = [
      {"primitive_estimate": "episode"}),
     ("ant-gather", {"perturbation": "one_to_many", **ON_WALKER},
      "--{name} needs two learning levels; in this run only the controller learns", None),
-    *(("ant-flagrun", each, "{name} .* " + OF_INTERVALS, {"primitive_estimate": "episode"}) for each in (
+    *(("ant-flagrun", each, "{name} ... " + OF_INTERVALS, {"primitive_estimate": "episode"}) for each in (
         {"fitness_shaping": "centred_rank"}, {"mirrored": "none"}, {"episodes_per_policy": 5},
         {"common_random_numbers": "off"}, {"statistics_fraction": 0.0})),
     *(("ant-gather", {**each, **ON_WALKER}, FROZEN, {"freeze_primitive": False}) for each in (
         {"intervals": 5}, {"primitive_sigma": 0.3})),
-    *(("gymnasium:shes/PointMaze-v0", each, "{name} has no effect on gymnasium:.* its own physics", None) for each in (
+    *(("gymnasium:shes/PointMaze-v0", each, "{name} has no effect on ... its own physics", None) for each in (
         {"reset_noise": 0.0}, {"spec": "shes"})),
-    ("gymnasium:shes/PointMaze-v0", {"primitive_estimate": "interval"}, "physics of .* is its own and cannot be", None),
-    ("point-gather", {"symmetry": "rotation", "primitive_view": "egocentric"}, "the point of .* has no known", None),
+    ("gymnasium:shes/PointMaze-v0", {"primitive_estimate": "interval"}, "... is its own and cannot be", None),
+    ("point-gather", {"symmetry": "rotation", "primitive_view": "egocentric"}, "the point of ... has no known", None),
     ("point-flagrun", {"minimum_goal_distance": 3}, NO_SETTING % ("point-flagrun", "shes"), None),
     ("point-gather", {"primitive": 3, "algorithm": "es"}, NO_SETTING % ("point-gather", "es"), None),
     ("point-gather", {"target": 3}, NO_SETTING % ("point-gather", "shes"), None),
@@ -333,7 +326,7 @@ IDLE = [
 @pytest.mark.parametrize(("env", "settings", "message", "helps"), IDLE, ids=str)
 def test_a_setting_without_effect_is_refused_with_what_helps(env, settings, message, helps):
     name, value = next(iter(settings.items()))
-    with pytest.raises(ConfigError, match=message.format(name=name, value=value, flag=name.replace("_", "-"))):
+    with raises(ConfigError, message.format(name=name, value=value, flag=name.replace("_", "-"))):
         build_algorithm(make_config(env, "laptop", settings))
     if helps is not None:
         helped = {**settings, **helps}

@@ -19,6 +19,7 @@ from shes.rollout.roll_out import PopulationResults
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
 from tests.e2e import runs
+from tests.messages import raises
 from tests.runs.recorder import recording
 
 
@@ -57,9 +58,9 @@ def test_workers_that_cannot_start_change_nothing(monkeypatch, tmp_path, tiny_ru
     monkeypatch.setattr("shes.runs.build.WarpSimulator", refuse)
     monkeypatch.setattr("shes.runs.train.build_backend", refuse)
     before = record(run_copy)
-    with pytest.raises(ConfigError, match=message):
+    with raises(ConfigError, message):
         runs.train_tiny(tmp_path / "run", **settings)
-    with pytest.raises(ConfigError, match=message):
+    with raises(ConfigError, message):
         shes.resume(run_copy, generations=5, **settings)
     assert not (tmp_path / "run").exists()
     assert record(run_copy) == before
@@ -102,11 +103,8 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy):
     shes.evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4, deterministic=True)
     assert buffers() == [("warp-cpu", 9, 7, False), ("warp-cpu", 5, 4, True)]
     assert on_cpu.summary() == on_device.summary()  # the stand-in's physics
-    for asked, message in (
-        ({"device": "cuda", "num_workers": 2}, "num_workers is 2"),
-        ({"njmax": 2}, "njmax has no"),
-    ):
-        with pytest.raises(ConfigError, match=message):
+    for asked in ({"device": "cuda", "num_workers": 2}, {"njmax": 2}):
+        with pytest.raises(ConfigError):
             shes.evaluate(run_copy, **asked)
 
 
@@ -191,5 +189,6 @@ def test_there_are_never_more_workers_than_episodes(tmp_path, run_copy, monkeypa
         (lambda: shes.evaluate(run_copy, num_workers=60, episodes=3), 3),
         (lambda: shes.evaluate(run_copy, num_workers=2, episodes=5), 2),
     ):
-        with pytest.raises(BegunError, match=f"^{expected}$"):
+        with pytest.raises(BegunError) as caught:
             start()
+        assert caught.value.args == (expected,)

@@ -2,7 +2,6 @@
 
 import json
 import runpy
-import sys
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,6 @@ import pytest
 import shes
 from shes.cli import main
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.errors import CheckpointError, ConfigError, MissingExtraError, StorageError
 from tests.e2e import runs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "run_exported.py"
@@ -118,32 +116,6 @@ def test_the_actions_of_external_environments_are_described(tmp_path, env_id, ki
             low, high = np.array(action["low"]), np.array(action["high"])
             scaled = (low + high) / 2 + control * ((high - low) / 2)
             np.testing.assert_array_equal(scaled.astype(action["dtype"]), ours.act(observation))
-
-
-@pytest.mark.parametrize(
-    ("given", "error", "message"),
-    [
-        ({"out": "walk.onnx"}, ConfigError, r"format npz ends with \.npz, got .*walk\.onnx.*Set --out or --format"),
-        ({"checkpoint": "99"}, CheckpointError, "there is no checkpoint"),
-        ({"out": "gone/policy.npz"}, StorageError, "there is no such folder"),
-        ({"out": "folder.npz"}, StorageError, r"cannot write .*folder\.npz"),
-        ({"format": "onnx", "out": "policy.onnx"}, MissingExtraError, r"pip install 'shes\[onnx\]'"),
-    ],
-)
-def test_what_cannot_be_exported_is_refused(trained, tmp_path, monkeypatch, given, error, message):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    Path("folder.npz").mkdir()
-    with pytest.raises(error, match=message):
-        shes.export(trained("flat"), **{"out": "policy.npz", **given})
-    assert [path.name for path in Path().iterdir()] == ["folder.npz"]
-
-
-def test_no_checkpoint_is_written_over(trained):
-    for name in ("best", "other"):
-        with pytest.raises(ConfigError, match=r"would be among the checkpoints of a run.*Set --out"):
-            shes.export(trained("flat"), trained("flat") / "checkpoints" / f"{name}.npz")
-    assert not (trained("flat") / "checkpoints" / "other.npz").exists()
 
 
 def test_an_external_robot_is_told_its_pose(tmp_path):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.runs.evaluate import evaluate, evaluation_seeds
 from shes.runs.loaded_agent import load
 from shes.streams import Purpose
@@ -24,21 +23,6 @@ def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, monkeypatch,
     assert (np.abs(action) <= 1).all()
     assert agent.act(np.zeros((1, 25))).shape == (1, 2)
     assert list(tmp_path.iterdir()) == []  # it needs no noise table
-
-
-def test_wrong_arguments_are_refused(tiny_run):
-    for shape in ((), (5,), (2, 25), (1, 1, 25)):
-        message = rf"must have shape \(25,\) or \(1, 25\), got {re.escape(str(shape))}\. .*trained on point-gather"
-        with pytest.raises(ShapeError, match=message):
-            load(tiny_run).act(np.zeros(shape))
-    agent = load(tiny_run, num_envs=2)
-    with pytest.raises(ShapeError, match=r"or \(2, 25\), got \(25,\).*num_envs"):
-        agent.act(np.zeros(25))
-    with pytest.raises(PolicyError, match="the observation holds NaN or infinity"):
-        agent.act(np.full((2, 25), np.nan))
-    for wrong in (-1, 2, np.array([True, False])):
-        with pytest.raises(ConfigError, match=f"of an environment, 0 to 1, got {re.escape(repr(wrong))}"):
-            agent.reset(wrong)
 
 
 PLAYED = {

@@ -7,11 +7,12 @@ import shutil
 import pytest
 
 from shes.cli import main
-from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, UnknownNameError, WorkerError
+from shes.errors import DivergenceError, PolicyError, RunFolderError, WorkerError
 from shes.runs.folder import RunFolder
 from shes.runs.progress_display import ProgressDisplay
 from shes.runs.runs_folder import RunsFolder, find_runs, read_sweep, vary
 from tests.e2e import runs
+from tests.messages import raises
 
 SEVERAL = {name: value for name, value in runs.TINY.items() if name != "seed"}
 
@@ -143,7 +144,7 @@ def test_a_damaged_record_is_one_clear_error(tmp_path, begun):
         ([record], "cannot be read"),
     ):
         file.write_text(json.dumps(damaged))
-        with pytest.raises(RunFolderError, match=f"{message}.*Restore it from a copy"):
+        with raises(RunFolderError, f"{message} ... Restore it from a copy"):
             RunsFolder.open(tmp_path)
 
 
@@ -159,26 +160,6 @@ def test_values_are_read_as_their_setting_needs():
         "freeze_primitive": {"true": True, "false": False},
         "algorithm": {"es": "es", "shes": "shes"},
     }
-
-
-@pytest.mark.parametrize(
-    ("texts", "error", "message"),
-    [
-        (["sigma"], ConfigError, r"must be a setting and its values, got 'sigma'\. Set --sweep sigma=0\.02,0\.05"),
-        (["sigmma=1"], ConfigError, "unknown setting 'sigmma'. Did you mean 'sigma'"),
-        (["sigma="], ConfigError, "sigma must be a number greater than 0, got ''"),
-        (["sigma=1,2x"], ConfigError, "sigma must be a number greater than 0, got '2x'"),
-        *(([f"sigma=1,{one}"], ConfigError, "has a value twice") for one in ("1.0", "1")),
-        (["sigma=1", "--sigma=2"], ConfigError, "sigma is swept twice"),
-        (["seed=1,2"], ConfigError, r"seed cannot be swept\. Give several seeds by --seed 1 2 3"),
-        (["env=ant-gather"], ConfigError, "Runs of a folder have one environment"),
-        (["algorithm=se"], UnknownNameError, "unknown algorithm 'se'. Did you mean"),
-        (["population_size=1.5"], ConfigError, "population_size must be a whole number"),
-    ],
-)
-def test_a_wrong_sweep_is_refused(texts, error, message):
-    with pytest.raises(error, match=message):
-        read_sweep(texts)
 
 
 def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
@@ -213,11 +194,11 @@ def test_runs_are_found_in_natural_order_and_one_is_named(tmp_path, tiny_run):
     (tmp_path / "model" / "config.json").write_text("{}")  # of another program
     assert [run.path.name for run in find_runs(tmp_path)] == ["seed-1", "seed-9", "seed-10"]
     assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
-    with pytest.raises(RunFolderError, match="is not a run folder"):
+    with pytest.raises(RunFolderError):
         find_runs(tmp_path / "model" / "config.json")
-    with pytest.raises(RunFolderError, match=f"is a folder of 3 runs: give one of them, such as {folder}/seed-1"):
+    with raises(RunFolderError, f"is a folder of 3 runs: give one of them, such as {folder}/seed-1"):
         RunFolder.open(tmp_path)
     for seed in (9, 10):
         shutil.rmtree(folder / f"seed-{seed}")
-    with pytest.raises(RunFolderError, match=f"is no run folder, but there is one below it: give {folder}/seed-1"):
+    with raises(RunFolderError, f"is no run folder, but there is one below it: give {folder}/seed-1"):
         RunFolder.open(tmp_path)

@@ -11,7 +11,7 @@ import pytest
 
 import shes
 from shes import cli
-from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
+from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.runs import shipped
 from shes.runs.build import build_environment, build_options
 from shes.runs.folder import RunFolder
@@ -20,6 +20,7 @@ from shes.runs.shipped import AGENTS, read_agent, shipped_name, shipped_names
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from tests.e2e import runs
+from tests.messages import raises
 
 FILES = {"agent.json", "checkpoints", "config.json", "evaluation.csv", "progress.csv"}
 
@@ -41,12 +42,12 @@ def test_a_name_is_found_and_a_path_wins_over_it(elsewhere, run_copy):
 
 def test_what_is_no_agent_is_refused_by_saying_why(elsewhere, monkeypatch):
     Path("ant-walker").mkdir()
-    with pytest.raises(RunFolderError, match=r"no config\.json\. .*It hides the shipped agent ant-walker: rename it"):
+    with raises(RunFolderError, "no config.json. ... It hides the shipped agent ant-walker: rename it"):
         shes.load("ant-walker")
     monkeypatch.setattr(shipped, "AGENTS", elsewhere / "nowhere")
-    with pytest.raises(RunFolderError, match=r"^gone does not exist\. .*\(its --out\)\.$"):
+    with pytest.raises(RunFolderError, match=r"\(its --out\)\.$"):
         shes.load("gone")
-    with pytest.raises(UnknownNameError, match=r"unknown shipped agent 'x'\. Known: \. `shes list` shows them"):
+    with raises(UnknownNameError, "unknown shipped agent 'x'. Known: . `shes list` shows them"):
         read_agent("x")
 
 
@@ -60,15 +61,6 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(elsewhere):
     assert "config" not in record["primitive"]  # it counts by its name
     brought, own = (runs.state(run, "best").levels[-1] for run in ("ant-walker", path))
     assert own.theta.tobytes() == brought.theta.tobytes()
-
-
-def test_a_shipped_agent_is_not_written_into():
-    run = AGENTS / "ant-walker"  # its name is tried in tests/cli
-    with pytest.raises(CheckpointError, match=r"agent ant-walker has only the checkpoint best, got 'last'\. Omit --"):
-        shes.evaluate(run, checkpoint="last")
-    with pytest.raises(RunFolderError, match=r"^ant-walker is a shipped agent.*--primitive ant-walker\. Or copy /"):
-        shes.resume(run, generations=10**6)
-    assert {path.name for path in run.iterdir()} == FILES
 
 
 @pytest.mark.slow
@@ -85,7 +77,7 @@ def test_a_damaged_agent_file_is_an_error_that_names_it(elsewhere, monkeypatch, 
     monkeypatch.setattr(shipped, "AGENTS", elsewhere / "agents")
     file = elsewhere / "agents" / "ant-gather" / "agent.json"
     file.write_text(json.dumps(change(json.loads(file.read_text()))))
-    with pytest.raises(RunFolderError, match=r"agent\.json is damaged: .*Install SHES again"):
+    with raises(RunFolderError, "agent.json is damaged: ... Install SHES again"):
         read_agent("ant-gather")
 
 

@@ -12,6 +12,7 @@ import shes
 from shes.errors import RunFolderError
 from shes.runs.tables import CsvTable, read_csv
 from tests.e2e import runs
+from tests.messages import raises
 
 VALUES = [0.1 + 0.2, 1e-310, -0.0, 1.7976931348623157e308, math.inf, math.nan, 2.0**53 + 2]
 
@@ -54,19 +55,20 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path):
 def test_a_damaged_table_is_one_clear_error_and_kept(tmp_path, content):
     path = tmp_path / "a.csv"
     path.write_bytes(content)
-    with pytest.raises(RunFolderError, match=r"a\.csv cannot be read as a table of numbers: .{,200}\. Restore it"):
+    with raises(RunFolderError, "a.csv cannot be read as a table of numbers: ... . Restore it") as error:
         CsvTable(path, 4)
+    assert len(str(error.value)) < 400
     assert path.read_bytes() == content
 
 
 REFUSED = {
-    "rows are missing": ("progress", lambda lines: lines[:-2], r"ends with generation 2, but the run has made 4: rows"),
+    "rows are missing": ("progress", lambda lines: lines[:-2], "ends with generation 2, but the run has made 4: rows"),
     "a row is cut": (
         "evaluation",
         lambda lines: [*lines[:-1], ",".join(lines[-1].split(",")[:3])],
-        r"row 3 below the header has 3 values for \d+ columns\.",
+        "row 3 below the header has 3 values for ... columns.",
     ),
-    "the file": ("evaluation", None, r"cannot be read .*No such file .*Restore it .*let it be an empty file"),
+    "the file": ("evaluation", None, "cannot be read ... No such file ... Restore it ... let it be an empty file"),
     "a column": ("progress", lambda lines: [line + ",1" for line in lines], "not write: 1"),
 }
 
@@ -79,7 +81,7 @@ def test_a_broken_table_is_refused_and_an_empty_one_goes_on(run_copy, case):
     path.unlink()
     if damage is not None:
         path.write_text("\n".join(damage(lines)) + "\n")
-    with pytest.raises(RunFolderError, match=rf"{name}\.csv .*{message}"):
+    with raises(RunFolderError, f"{name}.csv ... {message}"):
         shes.resume(run_copy, generations=5)
     path.write_text("")  # the way out that the message names
     assert shes.resume(run_copy, generations=6).generation == 6

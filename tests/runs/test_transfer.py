@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import shes
-from shes.errors import ConfigError, ShesError
+from shes.errors import ShesError
 from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from tests.e2e import runs
+from tests.messages import raises
 from tests.runs.recorder import recording
 
 EVERY = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1}
@@ -68,8 +69,6 @@ def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path, ti
     assert not np.array_equal(end.theta, brought.theta)
     assert end.statistics.count == brought.statistics.count + 2 * 8 * 20
     assert (start.optimizer.steps, end.optimizer.steps) == (0, 2)
-    with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
-        runs.train_tiny(tmp_path / "other", **settings, population_size=2)
 
 
 TRANSFERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
@@ -121,36 +120,33 @@ def test_both_levels_may_come_from_other_runs(sources):
     assert found.values.items() >= {**given, **BY_CONTROLLER, **other}.items()  # what is suggested may be asked for
 
 
-TRAINED = "{} is {}, but LEVEL was trained with {}. Omit --{}: it comes with the"
-OTHER_ROBOT = "LEVEL does not fit .* it was trained on ant-flagrun for the ant, but .* has {}. Name a primitive of "
-MISFIT = r"LEVEL does not fit .*\.\n"
+OTHER_ROBOT = "LEVEL does not fit ... it was trained on ant-flagrun for the ant, but ... has {}. Name a primitive of "
+MISFIT = "LEVEL does not fit ... .\n"
 REFUSED = [
     # The level; its run; the environment; further settings; the message.
     ("primitive", "point", "point-gather", {"goal_encoding": "angle"},
-     TRAINED.format("goal_encoding", "'angle'", "'unit_vector'", "goal-encoding")),
-    ("primitive", "point", "point-gather", {"clock_frequency": None},
-     TRAINED.format("clock_frequency", "None", "1.5", "clock-frequency")),
-    ("primitive", "point", "point-gather", {"primitive_hidden": None}, r"is None, but LEVEL was trained with \(3, 2\)"),
+     "goal_encoding is 'angle', but LEVEL was trained with 'unit_vector'. Omit --goal-encoding: it comes with the"),
+    ("primitive", "point", "point-gather", {"clock_frequency": None}, "LEVEL was trained with 1.5. Omit --clock-freq"),
+    ("primitive", "point", "point-gather", {"primitive_hidden": None}, "is None, but LEVEL was trained with (3, 2)"),
     ("primitive", "walker", "ant-gather", {"symmetry": "none"}, "is 'none', but LEVEL was trained with 'dihedral'"),
     ("controller", "controller", "point-gather", {"controller_network": "equivariant"}, "LEVEL was trained with 'mlp'"),
-    ("controller", "controller", "point-gather", {"hidden": (5,)},
-     TRAINED.format("hidden", r"\(5,\)", r"\(4,\)", "hidden")),
+    ("controller", "controller", "point-gather", {"hidden": (5,)}, "LEVEL was trained with (4,). Omit --hidden: it"),
     ("primitive", "walker", "point-gather", {}, OTHER_ROBOT.format("the point")),
     ("primitive", "walker", "gymnasium:shes/PointMaze-v0", {}, OTHER_ROBOT.format("an external robot")),
-    ("primitive", "two levels", "point-gather", {}, MISFIT + r"It was trained on point-push: .*\nHere there is: "),
-    ("primitive", "ant of hiro", "ant-gather", {}, MISFIT + r".*of specification hiro and 8(.|\n)*on shes and"),
-    ("primitive", "point", "point-fall", {}, MISFIT + r".*9 inputs \((.|\n)*with the same --spec by shes train ant"),
+    ("primitive", "two levels", "point-gather", {}, MISFIT + "It was trained on point-push: ... \nHere there is: "),
+    ("primitive", "ant of hiro", "ant-gather", {}, MISFIT + "... of specification hiro and 8 ... on shes and"),
+    ("primitive", "point", "point-fall", {}, MISFIT + "... 9 inputs ( ... with the same --spec by shes train ant"),
     ("controller", "controller", "point-maze", {}, MISFIT + "It was trained on point-gather: "),
-    ("primitive", "flat", "point-gather", {}, "has no primitive .* levels are policy. Name a run with --primitive"),
-    ("controller", "plain", "point-gather", {}, "has no controller .* levels are primitive"),
-    ("primitive", "plain", "point-gather", {"primitive_checkpoint": "77"}, r"no checkpoint .*000077\.npz\. There are"),
+    ("primitive", "flat", "point-gather", {}, "has no primitive ... levels are policy. Name a run with --primitive"),
+    ("controller", "plain", "point-gather", {}, "has no controller ... levels are primitive"),
+    ("primitive", "plain", "point-gather", {"primitive_checkpoint": "77"}, "no checkpoint ... 000077.npz. There are"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "source", "env", "settings", "message"), REFUSED)
 def test_a_level_that_does_not_fit_is_refused(sources, tmp_path, kind, source, env, settings, message):
     path = sources(source)
-    with pytest.raises(ShesError, match=message.replace("LEVEL", f"the {kind} of {path}")):
+    with raises(ShesError, message.replace("LEVEL", f"the {kind} of {path}")):
         runs.train_tiny(tmp_path / "run", env, **{kind: path, **settings})
     assert list(tmp_path.iterdir()) == []
 

@@ -23,6 +23,7 @@ from shes.sim.warp import WarpSimulator, default_sizes
 from tests.contracts import test_simulator_contract as contract
 from tests.contracts.variants import VARIANTS
 from tests.envs.robot_files import ASSETS, MOTOR, walker
+from tests.messages import raises
 from tests.sim.ants import ant_model
 
 pytestmark = [
@@ -108,7 +109,7 @@ def test_a_buffer_that_is_too_small_is_told_a_size_that_does(setting, integrator
     simulator.check_buffers()
     for _ in range(20):
         simulator.step(np.arange(num_sims), 5)
-    with pytest.raises(ConfigError, match=rf"overflowed: .*\({setting}\).* Set --{setting} to \d+\.") as error:
+    with raises(ConfigError, f"overflowed: ... ({setting}) ... Set --{setting} to ... .") as error:
         simulator.check_buffers()
     size = int(str(error.value).rsplit(" ", 1)[1].rstrip("."))
     simulator = WarpCpu(model, num_sims, **{setting: size})
@@ -165,16 +166,12 @@ def test_walks_of_two_seconds_are_those_of_c():
     assert np.median(np.hypot(*(places[0] - places[1]).T)) < 1e-3
 
 
-def test_models_that_it_cannot_run_are_refused():
-    model = ant_model()
-    model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
-    with pytest.raises(ConfigError, match="mujoco-warp does not run this model: mjSOL_PGS is unsupported"):
-        WarpCpu(model, 1)
+def test_a_model_that_it_cannot_run_is_refused():
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>"
         "<actuator><general joint='j' dyntype='integrator'/></actuator></mujoco>"
     )
-    with pytest.raises(ConfigError, match=r"state is qpos and qvel \(2 numbers\), got one of 3"):
+    with raises(ConfigError, "state is qpos and qvel (2 numbers), got one of 3"):
         WarpCpu(model, 1)
 
 
@@ -223,11 +220,11 @@ def test_a_robot_from_a_file_moves_as_in_mujoco():
     ("actuator", "before", "message"),
     [
         ('<position joint="{}" timeconst=".1"/>', "", "activations, delays or plasticity"),
-        (MOTOR, '<option solver="PGS"/>', "mjSOL_PGS"),
+        (MOTOR, '<option solver="PGS"/>', "mujoco-warp does not run this model: mjSOL_PGS is unsupported"),
     ],
 )
 def test_what_a_robot_needs_and_a_device_lacks_is_named(tmp_path, actuator, before, message):
     (tmp_path / "robot.xml").write_text(walker(4, actuator=actuator, before=before))
     robot = Robot(RobotOptions(robot=str(tmp_path / "robot.xml")))
-    with pytest.raises(ConfigError, match=f"{message}.*Use --device cpu"):
+    with raises(ConfigError, f"{message} ... Use --device cpu"):
         Flagrun(robot, 2, Flagrun.Options(), WarpCpu)

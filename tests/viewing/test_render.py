@@ -7,6 +7,7 @@ from PIL import Image, ImageSequence
 
 from shes.errors import ConfigError, StorageError
 from shes.viewing.render import render, write_video
+from tests.messages import raises
 
 HELD_FRAMES = 14
 
@@ -70,25 +71,6 @@ def test_the_same_arguments_give_the_same_video(tiny_run, tmp_path):
         assert made(**different) != first
 
 
-@pytest.mark.parametrize(
-    ("count", "arguments", "message"),
-    [
-        (1, {"checkpoints": ()}, "at least one run and one checkpoint: shes render RUN"),
-        (3, {"checkpoints": ["0", "best"]}, r"3 runs need one checkpoint .* each, got 2: 0, best\."),
-        (2, {"checkpoints": ["0", "best", "last"]}, r"2 runs need one checkpoint .* got 3"),
-        (1, {"out": "walk.avi"}, "out must end in .mp4 or .gif, got 'walk.avi'. Set --out"),
-        (1, {"out": "nowhere/walk.mp4"}, "no folder nowhere"),
-        (1, {"out": "folder.mp4"}, "is a folder"),
-    ],
-)
-def test_a_wrong_argument_is_refused(tiny_run, tmp_path, monkeypatch, count, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.mp4").mkdir()
-    with pytest.raises(ConfigError, match=message):
-        render([tiny_run] * count, **arguments)
-    assert [path.name for path in tmp_path.iterdir()] == ["folder.mp4"]
-
-
 def black(count=3):
     return iter([np.zeros((64, 64, 3), np.uint8)] * count)
 
@@ -107,9 +89,9 @@ PARTIAL = 'for last; do :; done\necho part > "$last"\ncat > /dev/null\necho full
     [
         (".mp4", None, broken, StorageError, "no more"),
         (".gif", None, broken, StorageError, "no more"),
-        (".mp4", "exit 1", black, StorageError, r"could not encode .*untouched\. It said: .* TMPDIR"),
-        (".gif", PARTIAL, black, StorageError, r"It said: full\."),
-        (".gif", "gone", black, ConfigError, r"no ffmpeg: .*encoder is not there.*IMAGEIO_FFMPEG_EXE"),
+        (".mp4", "exit 1", black, StorageError, "could not encode ... untouched. It said: ... TMPDIR"),
+        (".gif", PARTIAL, black, StorageError, "It said: full."),
+        (".gif", "gone", black, ConfigError, "no ffmpeg: ... encoder is not there ... IMAGEIO_FFMPEG_EXE"),
     ],
 )
 def test_a_video_that_fails_leaves_what_was_there(tmp_path, monkeypatch, suffix, encoder, frames, error, message):
@@ -120,7 +102,7 @@ def test_a_video_that_fails_leaves_what_was_there(tmp_path, monkeypatch, suffix,
         path.write_text(f"#!/bin/sh\n{encoder}\n")
         path.chmod(0o755)
     out.write_bytes(b"the last one")
-    with pytest.raises(error, match=message):
+    with raises(error, message):
         write_video(out, frames())
     assert out.read_bytes() == b"the last one"
     assert {each.name for each in tmp_path.iterdir()} <= {out.name, "encoder"}

@@ -12,7 +12,6 @@ import pytest
 from scipy import stats
 
 import shes
-from shes.errors import ConfigError, MissingExtraError, RunFolderError
 from shes.runs.evaluate import evaluate
 from shes.runs.tables import read_csv
 from shes.viewing.report import estimate, report
@@ -60,20 +59,6 @@ def whole(kinds, tmp_path_factory):
     given, out = [kinds["first"].parent, kinds["other"], kinds["flat"]], tmp_path_factory.mktemp("whole") / "a.html"
     report(given, out, episodes=4, on_step=lambda *part: heard.append(part), **QUICK)
     return Page(out), heard
-
-
-def test_without_plotly_the_error_names_the_extra(tiny_run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'shes\[report\]'"):
-        report(tiny_run, tmp_path / "report.html", **QUICK)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_wrong_argument_is_refused_before_any_work(tiny_run, tmp_path):
-    with pytest.raises(ConfigError, match=r"out must end in \.html, got 'report\.pdf'\. Set --out"):
-        report(tiny_run, "report.pdf", on_step=pytest.fail)
-    with pytest.raises(RunFolderError, match="gone does not exist"):
-        report([tiny_run, tmp_path / "gone"], on_step=pytest.fail)
 
 
 def test_the_page_is_in_the_run_folder_or_where_one_works(run_copy, tmp_path, monkeypatch):
