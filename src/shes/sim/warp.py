@@ -14,6 +14,7 @@ does not fit is left out of the physics, so an overflow is an error.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from typing import Any
@@ -52,7 +53,11 @@ def default_sizes(model: mujoco.MjModel) -> tuple[int, int]:
 
 
 class WarpSimulator(Simulator):
-    """N simulations on one device. On the CPU the results of a simulation do not depend on the others."""
+    """N simulations on one device. On the CPU the results of a simulation do not depend on the others.
+
+    mujoco-warp 4.0 can add in a fixed order, but the order of its contacts and constraint rows is that of atomic
+    operations: `_sort_contacts` and `_sort_constraints` are empty. So deterministic simulations order their rows here.
+    """
 
     starts_together = True
 
@@ -75,8 +80,8 @@ class WarpSimulator(Simulator):
                 be tested. By default from the model's geoms.
             njmax: Size of each simulation's constraint buffer: rows for contacts, joint limits, friction losses and
                 equalities. By default from the model's geoms and limits.
-            deterministic: Whether contacts, constraints and sums are in a fixed order, so that results repeat bit by
-                bit on a GPU; slower.
+            deterministic: Whether constraint rows (a dense Jacobian's) and sums are in a fixed order, so that results
+                repeat bit by bit on a GPU; slower. Not covered: contacts with elliptic cones, adhesion or SDFs.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
@@ -108,15 +113,18 @@ class WarpSimulator(Simulator):
 
     def _allocate(self, deterministic: bool) -> None:
         wp, view = self._warp, self._device.view
+        model = copy.copy(self.model)
+        if deterministic:
+            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         try:
-            self._model: Any = self._mujoco_warp.put_model(self.model)
+            self._model: Any = self._mujoco_warp.put_model(model)
         except (NotImplementedError, ValueError) as error:
             raise ConfigError(f"mujoco-warp does not run this model: {error} Use --device cpu.") from error
         self._model.opt.deterministic = deterministic
         self._model.opt.warn_overflow = 0  # no prints from kernels: `check_buffers` reports overflows
         self._model.callback.control = self._watch
         self._model.callback.contactfilter = self.align_tangents
-        self._data: Any = self._mujoco_warp.make_data(self.model, self.num_sims, nconmax=self.nconmax, njmax=self.njmax)
+        self._data: Any = self._mujoco_warp.make_data(model, self.num_sims, nconmax=self.nconmax, njmax=self.njmax)
         sims, data = self.num_sims, self._data
         self._arrays = arrays = self._kernels.Arrays()
         for name in ("qpos", "qvel", "time", "ctrl", "qacc", "qacc_smooth"):
@@ -205,13 +213,10 @@ class WarpSimulator(Simulator):
         self._launch_kernel(kernels.end_control_step, arrays)
 
     def _watch(self, model: Any, data: Any) -> None:
-        """Record the use of the buffers, and order rows if `deterministic`.
-
-        mujoco-warp calls this after making constraints, in every evaluation of the dynamics, RK4's included.
-        """
+        """Record the use of the buffers and order rows. mujoco-warp calls this in every evaluation of the dynamics."""
         counts = [data.nefc, data.nacon, data.ncollision, self._peak_constraints, self._peak_contacts]
         self._launch_kernel(self._kernels.watch_buffers, counts)
-        if model.opt.deterministic and not model.is_sparse:
+        if model.opt.deterministic:
             self._warp.launch(self._kernels.find_places, dim=self._rows.places.shape, inputs=[self._rows])
             for array in (getattr(data.efc, name) for name in _ROW_FIELDS):
                 values = array.view(self._warp.int32).reshape((*array.shape, 1)[:3])

@@ -19,6 +19,7 @@ _MAX_VALUE = wp.constant(wp.float32(mujoco.mjMAXVAL))
 _PLANE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_PLANE)))
 _CAPSULE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_CAPSULE)))
 _CONTACT = wp.constant(wp.int32(int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)))  # the first of their types
+_MAX_ID = wp.constant(wp.int64(1 << 19))
 _MIN_LENGTH = wp.constant(wp.float32(1e-6))
 """Least angle in radians between a capsule and the plane's normal at which its contact is realigned."""
 
@@ -171,10 +172,7 @@ def align_capsules(
     if wp.length(tangent) < _MIN_LENGTH:
         return
     tangent = wp.normalize(tangent)
-    other = wp.cross(normal, tangent)
-    frames[contact] = wp.mat33(
-        normal[0], normal[1], normal[2], tangent[0], tangent[1], tangent[2], other[0], other[1], other[2]
-    )
+    frames[contact] = wp.matrix_from_rows(normal, tangent, wp.cross(normal, tangent))
 
 
 @wp.struct
@@ -195,10 +193,10 @@ def _key(rows: Rows, sim: wp.int32, row: wp.int32) -> wp.int64:
     """Return a row's type and object. The object of a contact is its geoms, and its number among their contacts."""
     key = wp.int64(rows.id[sim, row])
     if rows.type[sim, row] >= _CONTACT:
-        pair = rows.geom[rows.id[sim, row]]
-        key = (wp.int64(pair[0]) << wp.int64(36)) + (wp.int64(pair[1]) << wp.int64(16))
-        key += wp.int64(rows.geomcollisionid[rows.id[sim, row]])
-    return (wp.int64(rows.type[sim, row]) << wp.int64(56)) + key
+        contact = rows.id[sim, row]
+        pair = wp.int64(rows.geom[contact][0]) * _MAX_ID + wp.int64(rows.geom[contact][1])
+        key = pair * _MAX_ID + wp.int64(rows.geomcollisionid[contact])
+    return wp.int64(rows.type[sim, row]) * _MAX_ID * _MAX_ID * _MAX_ID + key
 
 
 @wp.kernel(enable_backward=False)
