@@ -40,6 +40,7 @@ moving = contract.moving  # a fixture that they ask for
 
 WarpCpu = partial(WarpSimulator, device="warp-cpu")
 FIELDS = ("qpos", "qvel", "ctrl")
+AUTO, SPARSE = mujoco.mjtJacobian.mjJAC_AUTO, mujoco.mjtJacobian.mjJAC_SPARSE
 over_models = pytest.mark.parametrize(("name", "spec"), VARIANTS)
 
 
@@ -164,6 +165,27 @@ def test_walks_of_two_seconds_are_those_of_c():
         places.append(task.position.copy())
     assert np.hypot(*places[1].T).max() > 0.3, "nobody walked"
     assert np.median(np.hypot(*(places[0] - places[1]).T)) < 1e-3
+
+
+@pytest.mark.parametrize(("name", "integrator", "jacobian"), [("push", "euler", SPARSE), ("gather", "rk4", AUTO)])
+def test_deterministic_steps_repeat_in_any_order_of_contacts(name, integrator, jacobian):
+    from tests.sim.disorder import DisorderedSimulator
+
+    model = task_model(f"ant-{name}", "shes", integrator=integrator)
+    model.opt.jacobian = jacobian
+
+    def walk(simulator):
+        rng, states = np.random.default_rng(0), []
+        simulator.qvel[:, :2] = rng.normal(0, 5, (4, 2))  # against walls and the block, too
+        for _ in range(60):
+            simulator.ctrl[:] = rng.uniform(-30, 30, (4, model.nu))
+            simulator.step(np.arange(4), 5)
+            states.append(np.hstack([simulator.qpos, simulator.qvel]))
+        return np.array(states)
+
+    expected = [walk(WarpCpu(model, 4, deterministic=each)) for each in (False, True)]
+    found = [[walk(DisorderedSimulator(model, 4, seed, each)) for seed in (1, 2)] for each in (False, True)]
+    assert [[(walked == expected[i]).all() for walked in found[i]] for i in (0, 1)] == [[False] * 2, [True] * 2]
 
 
 def test_a_model_that_it_cannot_run_is_refused():

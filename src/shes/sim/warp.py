@@ -125,7 +125,7 @@ class WarpSimulator(Simulator):
         self._model.callback.control = self._watch
         self._model.callback.contactfilter = self.align_tangents
         self._data: Any = self._mujoco_warp.make_data(model, self.num_sims, nconmax=self.nconmax, njmax=self.njmax)
-        sims, data = self.num_sims, self._data
+        sims, data, contact = self.num_sims, self._data, self._data.contact
         self._arrays = arrays = self._kernels.Arrays()
         for name in ("qpos", "qvel", "time", "ctrl", "qacc", "qacc_smooth"):
             setattr(arrays, name, getattr(data, name))
@@ -136,8 +136,7 @@ class WarpSimulator(Simulator):
         arrays.active, arrays.diverged = (wp.zeros(sims, dtype=wp.bool) for _ in range(2))
         self._rows = rows = self._kernels.Rows()
         rows.nefc, rows.type, rows.id = data.nefc, data.efc.type, data.efc.id
-        for name in ("geom", "geomcollisionid", "efc_address"):
-            setattr(rows, name, getattr(data.contact, name))
+        rows.geom, rows.geomcollisionid, rows.efc_address = contact.geom, contact.geomcollisionid, contact.efc_address
         rows.places = wp.zeros((sims, self.njmax), dtype=wp.int32)
         self._kept_rows = wp.zeros(data.efc.J.shape if deterministic else (0, 0, 0), dtype=wp.int32)
         self._peak_constraints = wp.zeros(sims, dtype=wp.int32)
