@@ -1,7 +1,5 @@
 """A Warp simulator that finds contacts and joint limits in another order in every substep, as a GPU may."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import warp as wp
@@ -30,9 +28,9 @@ class DisorderedSimulator(WarpSimulator):
 
     def align_tangents(self, model, data):
         super().align_tangents(model, data)
-        fields = [getattr(data.contact, field.name) for field in dataclasses.fields(data.contact)]
-        counts = [(array, data.nacon) for array in fields if array.shape == (data.naconmax,)]
-        for array, count in [*counts, (model.jnt_limited_slide_hinge_adr, self.num_limits)]:
+        arrays = [(getattr(data.contact, field.name), data.nacon) for field in dataclasses.fields(data.contact)]
+        arrays = [(array, count) for array, count in arrays if array.shape == (data.naconmax,)]
+        for array, count in [*arrays, (model.jnt_limited_slide_hinge_adr, self.num_limits)]:
             shape = (*array.shape, wp.types.type_size_in_bytes(array.dtype) // 4)
             values = wp.array(ptr=array.ptr, dtype=wp.int32, shape=shape, device="cpu")
             wp.launch(shuffle, dim=1, inputs=[values, count, self.seed, data.time])
