@@ -210,7 +210,7 @@ def find_places(rows: Rows) -> None:
     place = wp.int32(0)
     offset = wp.int32(0)
     for other in range(num_rows):
-        other_key = _key(rows, sim, other)
+        other_key = _key(rows, sim, wp.int32(other))
         if other_key < key or (other_key == key and other < row):
             place += 1
             offset += wp.where(other_key == key and rows.id[sim, other] == rows.id[sim, row], 1, 0)
