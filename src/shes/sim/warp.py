@@ -80,8 +80,8 @@ class WarpSimulator(Simulator):
                 be tested. By default from the model's geoms.
             njmax: Size of each simulation's constraint buffer: rows for contacts, joint limits, friction losses and
                 equalities. By default from the model's geoms and limits.
-            deterministic: Whether constraint rows (a dense Jacobian's) and sums are in a fixed order, so that results
-                repeat bit by bit on a GPU; slower. Not covered: contacts with elliptic cones, adhesion or SDFs.
+            deterministic: Whether constraint rows (of a dense Jacobian) and sums are in a fixed order, so that results
+                repeat bit by bit on a GPU; slower. Not covered: elliptic cones, adhesion, SDFs, flexes and sleep.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
