@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
@@ -87,6 +88,7 @@ def resident_memory() -> int:
 
 
 def free_disk(path: Path) -> int:
-    """Return the free bytes on the disk of `path`, which may still be missing."""
+    """Return the free bytes on the disk of `path`, which may still be missing; `sys.maxsize` where there is no disk."""
     place = path.absolute()
-    return shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists())).free
+    usage = shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists()))
+    return usage.free if usage.total else sys.maxsize  # /proc has no size: writing there shows what is wrong

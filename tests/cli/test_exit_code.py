@@ -4,6 +4,7 @@ import io
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -88,9 +89,37 @@ def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
     assert exit_code(work) == code
 
 
-def test_memory_that_runs_out_is_one_line(capsys):
-    assert exit_code(fail(MemoryError())) == 2
-    assert capsys.readouterr().err.startswith("Error: not enough memory (no more is free). Reduce the size")
+@pytest.mark.parametrize(
+    ("error", "told", "free"),
+    [
+        (MemoryError(), "no more is free", 1e12),
+        (RuntimeError("Could not allocate memory"), "Could not allocate memory", 1e12),
+        (WorkerError("it failed:\n  at a line\nMemoryError: 9 TB"), "MemoryError: 9 TB", 1e12),
+        (ImportError("failed to map a segment"), "failed to map a segment", 2e8),
+    ],
+)
+def test_memory_that_runs_out_is_one_line(capsys, monkeypatch, error, told, free):
+    monkeypatch.setattr("shes.cli.program.free_memory", lambda: free)
+    assert exit_code(fail(error)) == getattr(error, "exit_code", 2)
+    assert (
+        capsys.readouterr().err
+        == f"Error: not enough memory ({told}). Raise its limit, or reduce the size of the run.\n"
+    )
+    with pytest.raises(KeyError):  # a fault of ours has a traceback
+        exit_code(fail(KeyError()), is_debug=free < 1e9)
+
+
+def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch):
+    ended = []
+    monkeypatch.setattr("os._exit", ended.append)
+    monkeypatch.setattr("shes.cli.program._END_S", 0.2)
+    monkeypatch.setattr(sys, "argv", ["shes", "no-such-command"])
+    assert main(["--version"]) == 0  # of a library nothing is ended
+    assert main() == 2
+    (timer,) = (each for each in threading.enumerate() if isinstance(each, threading.Timer))
+    assert timer.daemon  # nor does it keep the program itself
+    timer.join()
+    assert ended == [2]
 
 
 TRAIN = ["train", "point-gather", *runs.flags(**{**runs.TINY, "generations": 2})]

@@ -73,7 +73,11 @@ LINES = {
     **{f"{each}": rf"{each} needs at least one run folder: shes {each} RUN" for each in ("plot", "report")},
     "render": r"render needs at least one run and one checkpoint: shes render RUN",
     **{f"{each} gone": r"gone does not exist\. Give the folder" for each in ("resume", "plot", "report")},
-    **{f"{each} .": r"is not a run folder: it has no config\.json\. Give" for each in ("resume", "evaluate", "plot")},
+    "list gone": r"Error: gone is not a folder\. Give one with runs below it, or none for those below runs/\.",
+    **{
+        f"{each} .": r"no config\.json is in it or up to 4 levels below\. Give"
+        for each in ("resume", "evaluate", "plot")
+    },
 }
 
 

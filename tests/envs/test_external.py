@@ -347,6 +347,13 @@ def test_settings_that_do_not_fit_are_refused(settings, message, tmp_path):
         ("shape", r"cannot step: its observation must be one of Dict\(.*\), got {'pose': array\(\[0.*, 'gear': .*"),
         ("scalar", r"cannot step: its observation must be one of Dict\(.*\), got np.float64\(1.0\)\."),
         ("unpaid", r"cannot step: its reward must be a number, got None\."),
+        ("paid", r"cannot step: its reward must be a number, got '1\.5'\."),
+        *(
+            (each, rf"cannot step: its {each} must be True, False, 1 or 0, got 'no'\.")
+            for each in ("terminated", "truncated")
+        ),
+        ("is_success", r"cannot step: its success in its info must be True, False, 1 or 0, got 'no'\."),
+        ("diverged", r"cannot step: its info\['diverged'\] must be True, False, 1 or 0, got 'no'\."),
         ("where", r"cannot step: KeyError: 'where'"),
         ("success", r"cannot step: ValueError: The truth value of an array .*"),
     ],

@@ -102,7 +102,7 @@ def test_a_run_may_begin_where_other_files_or_a_stopped_one_are(tmp_path):
 def test_a_run_that_lost_its_record_is_no_run_folder(run_copy, left):
     left(run_copy / "config.json")
     assert RunFolder.below(run_copy.parent) == []
-    with pytest.raises(RunFolderError, match=r"is not a run folder: it has no config\.json\. Give the folder"):
+    with pytest.raises(RunFolderError, match=r"is not a run folder: no config\.json is in it .*\. Give the folder"):
         shes.resume(run_copy)
 
 
