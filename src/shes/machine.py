@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import resource
 import shutil
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
@@ -88,7 +87,7 @@ def resident_memory() -> int:
 
 
 def free_disk(path: Path) -> int:
-    """Return the free bytes on the disk of `path`, which may still be missing; `sys.maxsize` where there is no disk."""
+    """Return the free bytes on the disk of `path`, which may still be missing; 2**63 if it has none."""
     place = path.absolute()
     usage = shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists()))
-    return usage.free if usage.total else sys.maxsize  # /proc has no size: writing there shows what is wrong
+    return usage.free if usage.total else 2**63  # /proc has no size: writing there shows what is wrong

@@ -194,7 +194,7 @@ def test_the_value_of_every_setting_can_be_written(given, preset):
         ("--hidden=1 --sigma 1 --hidden 2", "--hidden"),
         ("--primitive a --sigma 1 --primitive b", "--primitive"),
         ("--workers 1 --num-workers=2", "--workers"),
-        ("--mirrored all --no-normalise-inputs --normalise_inputs", "--normalise-inputs"),
+        ("--mirrored pair --no-normalise-inputs --normalise_inputs", "--normalise-inputs"),
         ("--sweep sigma=1 --sweep seed=1 --seed 1 --seed=2", "--seed"),
     ],
 )

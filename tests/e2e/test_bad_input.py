@@ -74,10 +74,7 @@ LINES = {
     "render": r"render needs at least one run and one checkpoint: shes render RUN",
     **{f"{each} gone": r"gone does not exist\. Give the folder" for each in ("resume", "plot", "report")},
     "list gone": r"Error: gone is not a folder\. Give one with runs below it, or none for those below runs/\.",
-    **{
-        f"{each} .": r"no config\.json is in it or up to 4 levels below\. Give"
-        for each in ("resume", "evaluate", "plot")
-    },
+    **{f"{each} .": r"no config\.json is in it or up to 4 levels bel" for each in ("resume", "evaluate", "plot")},
 }
 
 

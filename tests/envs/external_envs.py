@@ -68,12 +68,11 @@ class Car(gymnasium.Env):
             del info["where"]
         observation |= {"pose": np.zeros(5)} if fault == "shape" else {}
         info |= {"is_success": np.array([True, False])} if fault == "success" else {}
-        info |= {fault: "no"} if fault in ("is_success", "diverged") else {}
-        terminated, truncated = (terminated, truncated) if fault != "terminated" else ("no", 0)
-        truncated = "no" if fault == "truncated" else truncated
-        reward = {"unpaid": None, "paid": "1.5"}.get(fault, reward)
+        info |= {fault: "1"} if fault in ("is_success", "diverged") else {}
+        told = {"reward": reward, "terminated": terminated, "truncated": truncated}
+        told |= {fault: "1"} if fault in told else {}
         observation = np.float64(1) if fault == "scalar" else observation
-        return observation, reward, terminated, truncated, info
+        return observation, *told.values(), info
 
     def render(self):
         if self.fault == "draw":

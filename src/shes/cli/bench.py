@@ -138,13 +138,8 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
     The share of branches, which start from snapshots of these episodes, is that of the whole episodes.
     """
     settings, table_size, state = algorithm.hyperparameters, algorithm.table.size, algorithm.start(seed)
-    recorders: list[_RecordingSimulator] = []
-
-    def recorder(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
-        recorders.append(_RecordingSimulator(model, num_sims))
-        return recorders[-1]
-
-    plan = replace(algorithm.plan(), device="cpu", simulator=recorder)
+    recorders = list[_RecordingSimulator]()
+    plan = replace(algorithm.plan(), device="cpu", simulator=partial(_RecordingSimulator, recorders))
     with SerialBackend(partial(RolloutWorker, plan)) as worker:
         draw, *others = settings.estimates
         draws = draw(state, settings, table_size, ())
@@ -164,8 +159,9 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
 class _RecordingSimulator(CpuSimulator):
     """A simulator that records the state of every simulation at its first step after a reset, and all its controls."""
 
-    def __init__(self, model: mujoco.MjModel, num_sims: int) -> None:
+    def __init__(self, recorders: list[_RecordingSimulator], model: mujoco.MjModel, num_sims: int) -> None:
         super().__init__(model, num_sims)
+        recorders.append(self)
         self.episodes: list[RecordedEpisode] = []
         self._running: dict[int, RecordedEpisode] = {}
 

@@ -142,8 +142,8 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
 
 def _check_flags(words: Sequence[str], command: Callable[..., int]) -> None:
     """Raise ConfigError for a flag, or one and its opposite or alias, that is given twice and not repeatable."""
-    kinds = command.__annotations__.items()
-    repeatable = {flag(name) for name, kind in kinds if tyro.conf.UseAppendAction in get_args(kind)}
+    kinds = command.__annotations__
+    repeatable = {flag(name) for name in kinds if tyro.conf.UseAppendAction in get_args(kinds[name])}
     aliases = {flag(each.name): each.flag for each in known_settings().values()} | {"--checkpoints": "--checkpoint"}
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
     given = [aliases.get(each, each) for each in (each.replace("--no-", "--") for each in given)]

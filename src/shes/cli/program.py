@@ -40,7 +40,7 @@ EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """Exit codes after Ctrl-C or SIGTERM, and if the reader of the output has gone."""
 _LEAST_COLUMNS = 20  # tables and help need some width
-_LEAST_MEMORY = 500e6  # with less, imports of libraries fail in many ways
+_LEAST_MEMORY = 500e6  # with less, libraries fail in many ways, and rich cannot print it
 _END_S = 10.0  # which threads, child processes and exit handlers of a user's module have to end after the command
 
 _OVERVIEW = """\
@@ -120,10 +120,8 @@ def _import_registering(name: str | None) -> None:
     try:
         importlib.import_module(name)
     except (Exception, SystemExit) as error:
-        problem = (
-            f"the module failed: {type(error).__name__}: {str(error).rstrip('.')}. "
-            "Correct it; --debug shows where it failed."
-        )
+        fault = f"{type(error).__name__}: {str(error).rstrip('.')}"
+        problem = f"the module failed: {fault}. Correct it; --debug shows where it failed."
         if isinstance(error, ModuleNotFoundError) and error.name and f"{name}.".startswith(f"{error.name}."):
             file = f" Give a module's name, not a file: --import {name[:-3]}." if name.endswith(".py") else ""
             problem = (
@@ -170,8 +168,7 @@ def _tell(error: Exception) -> None:
     """Print `error`; raise it if it is none that a person can do something about."""
     text = (str(error).strip().splitlines() or ["no more is free"])[-1]  # of a worker's traceback the last line
     is_known = isinstance(error, OSError | ShesError)  # OSError: a full disk, a path that cannot be read, ...
-    is_short = isinstance(error, MemoryError) or "allocate memory" in text or "MemoryError" in text
-    if is_short or (not is_known and free_memory() < _LEAST_MEMORY):  # rich might need more than there is
+    if isinstance(error, MemoryError) or "allocate memory" in text or (not is_known and free_memory() < _LEAST_MEMORY):
         print(f"Error: not enough memory ({text}). Raise its limit, or reduce the size of the run.", file=sys.stderr)
     elif is_known:
         from shes.console import LineConsole  # rich is slow to import

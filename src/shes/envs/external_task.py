@@ -127,7 +127,7 @@ class ExternalTask(EpisodeBatch):
             raise ConfigError(f"its reward must be a number, got {reward!r}.")
         reward = float(reward)
         is_number = np.abs(row) <= LARGEST  # False for NaN, too
-        is_broken = _truth("info['diverged']", info.get("diverged", False)) or not (
+        is_broken = _truth("diverged", info.get("diverged", False)) or not (
             abs(reward) <= LARGEST and is_number.all()
         )
         self._rows[i] = np.where(is_number, row, 0.0)
@@ -141,7 +141,7 @@ class ExternalTask(EpisodeBatch):
         if is_score and success is None and self._terminated[i]:
             entries = ", ".join(info) or "empty"
             raise ConfigError(f"its score is success, but the last info does not report it: {entries}.")
-        self._success[i] = success is not None and _truth("success in its info", success)
+        self._success[i] = success is not None and _truth("is_success", success)
         self._score[i] = self._success[i] if is_score else self.running_return[i]
         if self._reader.can_locate:
             *self._position[i], self._heading[i] = self._reader.planar_pose(row, info, env)
