@@ -187,20 +187,21 @@ def test_the_value_of_every_setting_can_be_written(given, preset):
     assert given("ant-gather", *words) == ("ant-gather", expected, ())
 
 
-@pytest.mark.parametrize(
-    ("line", "flag"),
-    [
-        ("--seed 1 --seed 2", "--seed"),
-        ("--hidden=1 --sigma 1 --hidden 2", "--hidden"),
-        ("--primitive a --sigma 1 --primitive b", "--primitive"),
-        ("--workers 1 --num-workers=2", "--workers"),
-        ("--mirrored pair --no-normalise-inputs --normalise_inputs", "--normalise-inputs"),
-        ("--sweep sigma=1 --sweep seed=1 --seed 1 --seed=2", "--seed"),
-    ],
-)
-def test_a_flag_given_twice_is_refused(capsys, line, flag):
+TWICE = [
+    "--hidden=1 --sigma 1 --hidden 2",
+    "--primitive a --sigma 1 --primitive b",
+    "--workers 1 --num-workers=2",
+    "--normalise-inputs --mirrored pair --no-normalise_inputs",
+    "--seed 1 --sweep sigma=1 --sweep seed=1 --seed=2",
+]
+
+
+@pytest.mark.parametrize("line", TWICE)
+def test_a_flag_given_twice_is_refused(capsys, line):
     assert main(["train", "point-gather", "--preset", "smoke", *line.split()]) == 2
-    assert capsys.readouterr().err.startswith(f"Error: {flag} is given twice. Give it once; several values follow it")
+    assert capsys.readouterr().err.startswith(
+        f"Error: {re.split('[ =]', line)[0]} is given twice. Give it once; several"
+    )
 
 
 @pytest.mark.parametrize(

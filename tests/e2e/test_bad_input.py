@@ -56,7 +56,6 @@ LINES = {
     "train --preset smoke": r"a run needs an environment: shes train ENV, or shes train --like RUN for that of a run",
     "train ant-gather --mirrored": r"Missing value for argument '--mirrored'",
     "train ant-gather --population 8": r"Unrecognized options: --population, 8.* meant: .*--population-size INT",
-    "train ant-gather extra": r"Unrecognized options: extra",
     "train ant-gather --sigma abc": r"Error parsing --sigma: could not convert string to float: 'abc'",
     "train ant-gather --hidden 8 x": r"Error parsing --hidden: .*\['8', 'x'\]",
     "train ant-gather --minimum-goal-distance=no": r"Unrecognized options: no",
@@ -92,7 +91,6 @@ IN_FOLDERS = {
     "train point-gather --preset smoke --out file": r"file is a file, not a folder\. Choose another path with --out",
     "train point-gather --preset smoke --out file/run": r"a part of the path is a file.*--out",
     "resume copy": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
-    "resume copy --generations 2": r"has made 4 generations, .*To go on: shes resume copy --generations 8",
     "resume copy --sigma 1": r"--sigma would change the numbers of the run; resume takes --backend, .*--workers\.",
     "evaluate copy --checkpoint 77": rf"there is no checkpoint .*generation_000077\.npz\. There are: {THERE}",
     "evaluate copy --checkpoint ../x": "there is no checkpoint",
@@ -109,9 +107,8 @@ def test_what_does_not_fit_a_folder_is_refused_and_harms_nothing(line, refused, 
 
 
 def test_resume_refuses_in_python_what_the_command_line_refuses(run_copy):
-    for name, message in {"sigma": "--sigma would change", "sigm": r"unknown setting 'sigm'\. resume takes"}.items():
-        with pytest.raises(ConfigError, match=message):
-            shes.resume(run_copy, generations=8, **{name: 1.0})
+    with pytest.raises(ConfigError, match=r"unknown setting 'sigm'\. resume takes"):
+        shes.resume(run_copy, generations=8, sigm=1.0)
 
 
 # Checkpoints.

@@ -26,8 +26,6 @@ from shes.settings import Ge, checked
 from shes.sim.simulator import CpuSimulator
 from shes.types import F64Array, IntArray, Listing, facts_listing
 
-_REPLAYED = 24  # number of whole episodes that the bare loop replays
-
 
 @checked
 def bench(
@@ -65,7 +63,10 @@ def bench_rollout(
             f"bench rollout compares with MuJoCo alone, but {config.run.env} has its own physics. Name one of SHES's "
             "environments, e.g. ant-gather."
         )
-    algorithm = evolution_strategy(config)
+    algorithm = build_algorithm(config)
+    if not isinstance(algorithm, EvolutionAlgorithm):
+        raise ConfigError(f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes.")
+    check_limits(config, algorithm.design)
     state, physics = algorithm.start(config.run.seed), record_generation(algorithm, config.run.seed)
     is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with on_one_core() if is_alone else nullcontext(), build_backend(config, algorithm.plan()) as backend:
@@ -86,15 +87,6 @@ def bench_rollout(
         "bare_steps_per_s": statistics.median(bare for _, bare in pairs),
         "ratio": statistics.median(whole / bare for whole, bare in pairs) / workers,
     }
-
-
-def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
-    """Return the evolution strategy of `config`; raise ConfigError if there is none, or too little memory."""
-    algorithm = build_algorithm(config)
-    if not isinstance(algorithm, EvolutionAlgorithm):
-        raise ConfigError(f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes.")
-    check_limits(config, algorithm.design)
-    return algorithm
 
 
 class RecordedEpisode(NamedTuple):
@@ -132,7 +124,7 @@ class BarePhysics:
         return steps / elapsed
 
 
-def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: int = _REPLAYED) -> BarePhysics:
+def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: int = 24) -> BarePhysics:
     """Return the physics of about `num_episodes` whole episodes of the first generation, played on the CPU.
 
     The share of branches, which start from snapshots of these episodes, is that of the whole episodes.

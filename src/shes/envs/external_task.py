@@ -127,9 +127,7 @@ class ExternalTask(EpisodeBatch):
             raise ConfigError(f"its reward must be a number, got {reward!r}.")
         reward = float(reward)
         is_number = np.abs(row) <= LARGEST  # False for NaN, too
-        is_broken = _truth("diverged", info.get("diverged", False)) or not (
-            abs(reward) <= LARGEST and is_number.all()
-        )
+        is_broken = _truth("diverged", info.get("diverged", False)) or not (abs(reward) <= LARGEST and is_number.all())
         self._rows[i] = np.where(is_number, row, 0.0)
         self.diverged[i] |= is_broken or (physics is not None and physics.warning.number[DIVERGENCE].any())
         if self.diverged[i]:

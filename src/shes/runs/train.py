@@ -152,8 +152,8 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         _check_unfinished(path, config, checkpoint)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
-        hearers = listener_methods(heard)
-        with _started(algorithm) as workers, closing(Recorder(folder, algorithm, checkpoint, hearers)) as recorder:
+        recording = closing(Recorder(folder, algorithm, checkpoint, listener_methods(heard)))
+        with recording as recorder, _started(algorithm) as workers:
             changes = folder.record_resume(checkpoint.generation, config)
             return _go_on(recorder, state, workers, changes)
 
