@@ -91,9 +91,8 @@ def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
 
 
 def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
-    short = (MemoryError("9 TB"), ValueError("in C:\n9 TB: cannot allocate memory"))
     monkeypatch.setattr("shes.cli.program.free_memory", lambda: 1e12)
-    codes = [exit_code(fail(error)) for error in short]
+    codes = [exit_code(fail(each)) for each in (MemoryError("9 TB"), ValueError("in C:\n9 TB: cannot allocate memory"))]
     with pytest.raises(KeyError):  # a fault of ours has a traceback
         exit_code(fail(KeyError()))
     monkeypatch.setattr("shes.cli.program.free_memory", lambda: 2e8)
@@ -103,13 +102,14 @@ def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
 
 def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch):
     ended = []
-    for name, value in {"os._exit": ended.append, "shes.cli.program._END_S": 0.2, "sys.argv": ["shes", "none"]}.items():
+    for name, value in {"os._exit": ended.append, "shes.cli.program._END_S": 999, "sys.argv": ["shes", "none"]}.items():
         monkeypatch.setattr(name, value)
     assert main(["--version"]) == 0  # called by others, it ends nothing
     assert main() == 2
     (timer,) = (each for each in threading.enumerate() if isinstance(each, threading.Timer))
     assert timer.daemon  # nor does it keep the program itself
-    timer.join()
+    timer.cancel()
+    timer.function(*timer.args)
     assert ended == [2]
 
 

@@ -199,9 +199,7 @@ TWICE = [
 @pytest.mark.parametrize("line", TWICE)
 def test_a_flag_given_twice_is_refused(capsys, line):
     assert main(["train", "point-gather", "--preset", "smoke", *line.split()]) == 2
-    assert capsys.readouterr().err.startswith(
-        f"Error: {re.split('[ =]', line)[0]} is given twice. Give it once; several"
-    )
+    assert f"{re.split('[ =]', line)[0]} is given twice. Give it once; several" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,6 @@ def test_a_signal_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatc
 
 def test_a_run_under_nohup_survives_its_terminal(tmp_path):
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    hang_up = runs.AfterGeneration(2, partial(signal.raise_signal, signal.SIGHUP))
-    path = runs.train_tiny(tmp_path / "run", listener=hang_up)
+    path = runs.train_tiny(tmp_path, listener=runs.AfterGeneration(2, partial(signal.raise_signal, signal.SIGHUP)))
     signal.signal(signal.SIGHUP, before)
     assert load_checkpoint(path / "checkpoints" / "last.npz").generation == 4
