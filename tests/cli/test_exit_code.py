@@ -107,8 +107,8 @@ def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch):
     assert main(["--version"]) == 0  # called by others, it ends nothing
     assert main() == 2
     (timer,) = (each for each in threading.enumerate() if isinstance(each, threading.Timer))
-    assert timer.daemon  # nor does it keep the program itself
     timer.cancel()
+    assert timer.daemon  # nor does it keep the program itself
     timer.function(*timer.args)
     assert ended == [2]
 

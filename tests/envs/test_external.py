@@ -348,7 +348,7 @@ def test_settings_that_do_not_fit_are_refused(settings, message, tmp_path):
         ("scalar", r"cannot step: its observation must be one of Dict\(.*\), got np.float64\(1.0\)\."),
         ("reward", r"cannot step: its reward must be a number, got '1'\."),
         *(
-            (it, rf"cannot step: its {it} must be .*'1'\.")
+            (it, f"cannot step: its {it} must be .*'1'.")
             for it in ("terminated", "truncated", "is_success", "diverged")
         ),
         ("where", r"cannot step: KeyError: 'where'"),
