@@ -1,8 +1,8 @@
 """Check, measure and train on a GPU: `python benchmarks/gpu.py --out OUT`.
 
-`--only check`, `--only speed` or `--only train` runs one stage. Every stage writes its CSV row by row, so that an
-interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a GPU;
-its numbers have no meaning.
+`--only` takes stages: `check`, `bandwidth`, `generations`, `worlds`, `train`. Every stage writes its CSV row by row, so
+that an interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a
+GPU; its numbers have no meaning.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def check(device: str, size: Size, out: Path) -> None:
     print(f"{detectable_shift(size.episodes, tests):.2f} standard deviations is found with a power of 0.9")
 
 
-# Stage `speed`.
+# Stages `bandwidth`, `generations` and `worlds`.
 
 
 def synchronize(device: WarpDevice) -> None:
@@ -184,14 +184,11 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
         synchronize(opened)
         seconds = (perf_counter() - start) / size.world_steps
         task.check_buffers()
-        contacts, constraints = task.sim.peaks()
         table.add(
             integrator=integrator,
             worlds=worlds,
             step_ms=1e3 * seconds,
             env_steps_per_s=worlds / seconds,
-            contacts=contacts,
-            constraints=constraints,
             free_bytes=free_bytes(opened),
         )
         del task
@@ -200,8 +197,10 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
 def generations(device: str, size: Size, out: Path) -> None:
     """Measure whole generations and their parts; a tiny one shows the cost of the kernel launches alone."""
     table = Table(out / "generations.csv")
-    sizes = [("launches alone", 1, 1), ("generation", size.population, 5)]
-    for env, integrator, (what, population, episodes) in itertools.product(("ant-gather",), size.integrators, sizes):
+    sizes = [("launches alone", 1, 1, False), ("generation", size.population, 5, False)]
+    sizes.append(("generation", size.population, 5, True))
+    kinds = itertools.product(("ant-gather",), size.integrators, sizes)
+    for env, integrator, (what, population, episodes, is_deterministic) in kinds:
         settings = {
             "population_size": 4 * max(1, population // 4),
             "episodes_per_policy": episodes,
@@ -209,13 +208,14 @@ def generations(device: str, size: Size, out: Path) -> None:
             "hidden": size.hidden,
             "integrator": integrator,
             "device": device,
+            "deterministic": is_deterministic,
         }
         config = make_config(env, "paper", settings)
         found = list(itertools.islice(_timed(config), size.repeats + 1))[1:]  # the first one compiles
         names = [name for name in found[0] if found[0][name] is not None]
         row = {name: statistics.median(each[name] for each in found) for name in names}
-        policies = config.evolution.population_size
-        table.add(what=what, env=env, integrator=integrator, policies=policies, episodes=episodes, **row)
+        what_ran = {"env": env, "integrator": integrator, "deterministic": is_deterministic}
+        table.add(what=what, **what_ran, policies=config.evolution.population_size, episodes=episodes, **row)
 
 
 def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
@@ -227,8 +227,9 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
         for report in evolve(
             learner.start(config.run.seed), learner.hyperparameters, learner.table.on(opened.xp), backend
         ):
-            physics_s, policy_s, task_s = report.results.seconds.tolist()
-            steps = int(report.results.steps.sum())
+            (episodes,) = report.populations  # the preset of the paper has no intervals
+            physics_s, policy_s, task_s = episodes.results.seconds.tolist()
+            steps = int(episodes.results.steps.sum())
             yield {
                 "env_steps": steps,
                 "generation_s": report.rollout_s + report.update_s,
@@ -294,14 +295,14 @@ def describe(device: str) -> dict[str, Any]:
 
 def main() -> None:
     """Run the selected stages."""
-    stages = {"check": [check], "speed": [bandwidth, generations, physics_alone], "train": []}
+    stages = {"check": check, "bandwidth": bandwidth, "generations": generations, "worlds": physics_alone}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for CSV files and runs")
     parser.add_argument("--device", default="cuda", help="cuda, or warp-cpu to try this script")
-    parser.add_argument("--only", nargs="+", choices=stages, default=list(stages), help="stages to run")
+    parser.add_argument("--only", nargs="+", choices=[*stages, "train"], default=[*stages, "train"])
     parser.add_argument("--minutes", type=float, default=10.0, help="minutes of training")
-    parser.add_argument("--integrators", nargs="+", choices=INTEGRATORS, help="of stage speed; default: all")
-    parser.add_argument("--worlds", nargs="+", type=int, help="numbers of simulations of stage speed")
+    parser.add_argument("--integrators", nargs="+", choices=INTEGRATORS, help="of the speeds; default: all")
+    parser.add_argument("--worlds", nargs="+", type=int, help="numbers of simulations of stage worlds")
     parser.add_argument("--envs", nargs="+", choices=FULL.envs, help="environments of stage check; default: all")
     parser.add_argument("--smoke", action="store_true", help="smallest possible size of every stage")
     asked = parser.parse_args()
@@ -312,11 +313,11 @@ def main() -> None:
     print(json.dumps(facts, indent=1))
     (asked.out / "machine.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     for stage in asked.only:
-        for measure in stages[stage]:
-            print(f"\n{measure.__name__}", flush=True)
-            measure(asked.device, size, asked.out)
-    if "train" in asked.only:
-        train(asked.device, size, asked.out, asked.minutes)
+        print(f"\n{stage}", flush=True)
+        if stage == "train":
+            train(asked.device, size, asked.out, asked.minutes)
+        else:
+            stages[stage](asked.device, size, asked.out)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Speed-up of a generation by more cores: measured here, projected to a cluster. Source: SHES paper, Figure 6.
 
 `python benchmarks/speedup.py --workers 2 --out speedup.csv`, on an idle machine: SHES and S-ES on Ant Gather at the
-paper's size, 40 minutes on two cores. What the projection to n cores assumes:
+paper's size, 40 minutes on two cores; `--policies 200` takes a fifth of it. What the projection to n cores assumes:
 
 - Episodes are those of the measured generation. Every worker runs an equal share of them, at once if the caches allow.
 - A core of the cluster runs a share as fast as a core here does alone: neighbours cost it no memory bandwidth.
@@ -12,8 +12,9 @@ paper's size, 40 minutes on two cores. What the projection to n cores assumes:
   bytes at 10 Gbit/s.
 - The update takes as long as here. Tables, checkpoints and evaluations are not part of a generation.
 
-Measured speed-ups are relative to the mean speed of the cores, each measured alone; projected ones to the first core,
-on which the shares run. `measured` and `projected` rows of the same number of cores show how good the projection is.
+Measured speed-ups are relative to the mean speed of the first and the last core, each measured alone; projected ones to
+the first core, on which the shares run. `measured` and `projected` rows of the same number of cores show how good the
+projection is.
 """
 
 from __future__ import annotations
@@ -70,22 +71,21 @@ class Measurement:
         return self.report.rollout_s, self.report.update_s
 
 
-def measure_speedup(config: TrainConfig, cores: Sequence[int] = CORES, samples: int = SAMPLES) -> list[Row]:
-    """Return measured and projected times of a generation of `config`, and their speed-ups.
-
-    Measured are 1 to `num_workers` workers.
-    """
+def measure_speedup(
+    config: TrainConfig, workers: Sequence[int] = (1, 2), cores: Sequence[int] = CORES, samples: int = SAMPLES
+) -> list[Row]:
+    """Return times of a generation of `config` measured on numbers of `workers`, projected ones, and speed-ups."""
     if config.workers.device != "cpu":
         raise ConfigError(f"speedup.py measures the CPU, got device {config.workers.device!r}. Omit --device.")
-    algorithm, count = evolution_strategy(config), config.workers.count
-    alone = [measure(config, algorithm, 1, core) for core in core_numbers()[:count]]
-    several = {n: measure(config, algorithm, n) for n in range(2, count + 1)}
+    algorithm, here = evolution_strategy(config), core_numbers()[: max(workers)]
+    alone = [measure(config, algorithm, 1, core) for core in sorted({here[0], here[-1]})]
+    several = {n: measure(config, algorithm, n) for n in sorted({*workers} - {1})}
     mean_rollout_s, mean_update_s = (harmonic_mean(each) for each in zip(*(one.seconds for one in alone), strict=True))
     mean_s = mean_rollout_s + mean_update_s
     rows = [row("alone", 1, *one.seconds, mean_s) for one in alone]
     rows.append(row("measured", 1, mean_rollout_s, mean_update_s, mean_s))
     rows += [row("measured", n, *each.seconds, mean_s) for n, each in several.items()]
-    last = several.get(count, alone[0])
+    last = several.get(max(workers), alone[0])
     update_s, base_s = last.report.update_s, sum(alone[0].seconds)
     with on_one_core(core_numbers()[0]), SerialBackend(partial(RolloutWorker, algorithm.plan())) as worker:
         for n in (*several, *cores):
@@ -186,13 +186,17 @@ def main() -> None:
     parser.add_argument("--env", default="ant-gather")
     parser.add_argument("--preset", default="paper")
     parser.add_argument("--integrator", default="euler")
-    parser.add_argument("--workers", type=int, default=0, help="largest number measured; 0 is one for every core")
+    parser.add_argument("--algorithms", nargs="+", choices=("shes", "es"), default=("shes", "es"))
+    parser.add_argument("--policies", type=int, help="population size; default: the preset's")
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], help="numbers of workers measured")
     parser.add_argument("--cores", type=int, nargs="+", default=CORES, help="numbers of cores of the projection")
     asked = parser.parse_args()
     rows: list[Row] = []
-    for algorithm in ("shes", "es"):
-        own = {"algorithm": algorithm, "integrator": asked.integrator, "num_workers": asked.workers}
-        found = measure_speedup(make_config(asked.env, asked.preset, own), asked.cores)
+    for algorithm in asked.algorithms:
+        own: dict[str, Any] = {"algorithm": algorithm, "integrator": asked.integrator}
+        if asked.policies:
+            own["population_size"] = asked.policies
+        found = measure_speedup(make_config(asked.env, asked.preset, own), asked.workers, asked.cores)
         rows += [{"env": asked.env, "algorithm": algorithm, **each} for each in found]
         for each in found:
             words = f"{algorithm}, {each['cores']} cores {each['kind']}"

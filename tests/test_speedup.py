@@ -44,16 +44,16 @@ BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"
 
 @pytest.mark.parametrize(
     ("algorithm", "settings", "workers"),
-    [("shes", BRANCHES, 1), ("es", {}, 1), pytest.param("shes", {}, 2, marks=pytest.mark.extras)],
+    [("shes", BRANCHES, [1]), ("es", {}, [1]), pytest.param("shes", {}, [1, 2], marks=pytest.mark.extras)],
 )
 def test_speed_ups_are_measured_and_projected(algorithm, settings, workers):
-    where = {"backend": "serial" if workers == 1 else "processes", "num_workers": workers}
+    where = {"backend": "serial" if workers == [1] else "processes"}
     config = make_config("point-gather", "smoke", {**TINY, **settings, **where, "algorithm": algorithm})
-    rows = speedup.measure_speedup(config, cores=(4, 16), samples=2)
+    rows = speedup.measure_speedup(config, workers, cores=(4, 16), samples=2)
     assert [(row["kind"], row["cores"]) for row in rows] == [
-        *[("alone", 1)] * len(core_numbers()[:workers]),
-        *[("measured", n) for n in range(1, workers + 1)],
-        *[("projected", n) for n in (*range(2, workers + 1), 4, 16)],
+        *[("alone", 1)] * len(core_numbers()[: max(workers)]),
+        *[("measured", n) for n in workers],
+        *[("projected", n) for n in (*workers[1:], 4, 16)],
     ]
     for row in rows:
         assert row["generation_s"] == row["rollout_s"] + row["update_s"]

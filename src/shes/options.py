@@ -1,4 +1,4 @@
-"""Options: settings that a registered class brings, such as the waypoints of a task.
+"""Options: settings that a registered class brings, such as the targets of a task.
 
 A class that is nothing but its values, such as a reward, is itself a `Settings` dataclass. A class whose objects have a
 state, such as a task, a body or a backend, has an attribute `Options` that is one. Registering the class is enough: its

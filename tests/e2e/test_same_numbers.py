@@ -89,7 +89,7 @@ BY_ENVIRONMENT = {
     },
     "ant-maze": {
         "everything": BY_HAND["everything"], "no symmetry": {**EGOCENTRIC, "symmetry": "none"},
-        "walker": {**WALKER, "symmetry": "auto", "max_tilt": 20.0, "target": (0.0, 16.0), "waypoints": (8.0, 0.0)},
+        "walker": {**WALKER, "symmetry": "auto", "max_tilt": 20.0, "target": (0.0, 16.0)},
     },
     "ant-gather": {
         "walker": {

@@ -55,7 +55,7 @@ def test_success_is_measured_to_the_target_of_evaluation(name):
     assert fall.places(np.stack([state(fall, (0, 24, z)) for z in (4.75, 0.4)])).is_success.tolist() == [True, False]
 
 
-def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
+def test_a_way_gives_the_reward_until_it_is_taken_back():
     task = make_task("point-maze", 1, target=(6.0, 8.0), reset_noise=0.0)
     rewards = []
     for way in (None, np.array([[6.0, 0.0], [6.0, 4.0]]), np.array([[0.0, 8.0]]), None):

@@ -197,7 +197,6 @@ def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path):
         ("point-maze", {}, r"the training target is random\. Set --target, e\.g\. --target 0 16, or --explore none"),
         ("point-maze", {"target": (8.0, 0.0)}, r"16\.0\), while .* is \(8\.0, 0\.0\)\. Set --target 0 16"),
         ("point-push", {"explore_horizon": 9}, r"must be at least controller_interval, 25.*, got 9\. Set"),
-        ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
         ("point-push", {"primitive_view": "observation"}, r"sees the task's .* Set --primitive-view egocentric or p"),
         ("point-push", {"explore": "none", "explore_horizon": 9}, r"explore_horizon has no effect with explore 'none'"),
     ],

@@ -6,6 +6,7 @@
 import json
 import os
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,6 +30,8 @@ SIMULATOR = partial(WarpSimulator, device=DEVICE)
 IN_CONTACT = {"ant", "one-hot"}
 TINY = {"preset": "smoke", "population_size": 16, "horizon": 20, "noise_table_size": 200_000}
 TINY |= {"evaluation_episodes": 4, "evaluation_interval": 1}
+EQUIVARIANT = {"controller_view": "sectors", "controller_output": "heading_direction", "primitive_view": "egocentric"}
+HEXAPOD = Path(__file__).parents[2] / "examples" / "hexapod.xml"
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +54,11 @@ def test_a_generation_has_the_numbers_of_the_cpu(name, episodes, xp):
     found, _ = stand_in.run(name, SIMULATOR, 8, xp, episodes)
     expected, _ = stand_in.run(name, CpuSimulator, 8, episodes=episodes)
     assert found.keys() == expected.keys()
-    for number, mine in found.items():
-        assert mine.steps.tolist() == expected[number].steps.tolist()
-        np.testing.assert_allclose(mine.returns, expected[number].returns, rtol=1e-3, atol=1e-3)
-        np.testing.assert_allclose(mine.final_position, expected[number].final_position, atol=1e-3)
+    for number, result in found.items():
+        mine, other = result.outcomes, expected[number].outcomes
+        assert mine["steps"].tolist() == other["steps"].tolist()
+        np.testing.assert_allclose(mine["returns"], other["returns"], rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(mine["final_position"], other["final_position"], atol=1e-3)
 
 
 def test_the_weighted_sum_of_noise_has_the_bits_of_the_cpu(xp):
@@ -65,10 +69,17 @@ def test_the_weighted_sum_of_noise_has_the_bits_of_the_cpu(xp):
     assert on_device.tobytes() == weighted_noise_sum(table, index, weights, 150_000).tobytes()
 
 
-@pytest.mark.parametrize("env", ["ant-gather", "ant-push"])
-def test_a_run_goes_from_the_cpu_to_the_card_and_back(env, tmp_path):
+@pytest.mark.parametrize(
+    ("env", "settings"),
+    [
+        ("ant-gather", {"controller_network": "equivariant", "primitive_estimate": "interval", **EQUIVARIANT}),
+        ("ant-push", {"explore": "archive", "primitive_view": "egocentric"}),
+        ("gather", {"robot": HEXAPOD}),
+    ],
+)
+def test_a_run_goes_from_the_cpu_to_the_card_and_back(env, settings, tmp_path):
     run = tmp_path / "run"
-    shes.train(env, out=run, generations=2, backend="serial", **TINY)
+    shes.train(env, out=run, generations=2, backend="serial", **TINY, **settings)
     shes.resume(run, generations=4, device=DEVICE)
     shes.resume(run, generations=5, device="cpu")
     record = json.loads((run / "config.json").read_text())

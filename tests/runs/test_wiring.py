@@ -211,7 +211,6 @@ GROUPS: dict[str, Group] = {
         "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7]),
     }, env="point-push", common={**SHORT, "primitive_view": "egocentric", "controller_interval": 5}),
     "maze": Group({
-        "waypoints": Row((8.0, 0.0), batches(lambda b: b.num_waypoints), [1, 0]),
         "target": Row((1.0, 2.0), lambda r: batches(lambda b: np.unique(b.target, axis=0).tolist())(r)[0], [[1, 2]]),
         "evaluation_target": Row((2.0, 1.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [2, 1]),
     }, env="point-maze", common=SHORT),

@@ -189,7 +189,7 @@ class EpisodeBatch(ABC):
         raise NotImplementedError
 
     def set_way(self, way: F64Array | None) -> None:  # noqa: B027 - most environments have no way to a target
-        """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None is as by the options."""
+        """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None for no way."""
 
     @abstractmethod
     def step(self, ids: IntArray, action: FloatArray) -> None:

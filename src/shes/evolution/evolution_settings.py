@@ -26,8 +26,8 @@ class ExplorationSettings(Settings):
     """Exploration."""
 
     explore: Literal["none", "archive"] = "none"
-    """Search for a path to the target: none, or an archive of places to which a simulation goes back. The path found
-    replaces the waypoints in training."""
+    """Search for a path to the target: none, or an archive of places to which a simulation goes back. The progress
+    along the path found is then the reward of training."""
     explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
     """Longest path of the search in control steps; none for the horizon."""
 

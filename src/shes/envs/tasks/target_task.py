@@ -42,9 +42,6 @@ class TargetOptions(FallOptions):
     distribution of targets."""
     evaluation_target: Coordinates | None = None
     """Target of evaluation, like `target`; none is the task's own."""
-    waypoints: Coordinates | None = None
-    """Points on the path to the target, in order. Each is passed within 3 m, or within 8 m if the next one is nearer.
-    The reward of training is the progress along the path. Evaluation does not use them. Lengths are as of `target`."""
 
     @property
     def has_random_target(self) -> bool:
@@ -88,20 +85,19 @@ class TargetTask(Task):
         own_target = self.xp.asarray(self.own_target, dtype=np.float64)
         self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3], in units of `scale`."""
-        self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
+        self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # points of the way passed
         self.falls_end = self.ends_early = self.min_cos_tilt is not None
         if self.options.spec == "hiro":
             self.primitive_view = self.primitive_view[: -len(self.own_target)]
         self.set_way(None)
 
     def set_way(self, way: F64Array | None) -> None:
-        """Set the waypoints of the reward; see `EpisodeBatch.set_way`."""
-        own = () if self.options.evaluation else self.options.waypoints or ()
-        points = own if way is None else way.ravel().tolist()
+        """Set the way of the reward; see `EpisodeBatch.set_way`."""
+        points = () if way is None else way.ravel().tolist()
         ends = np.reshape([*points, *(self.options.target or self.own_target)], (-1, len(self.own_target)))
         legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
         self.num_waypoints = len(legs)
-        self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
+        self._way: F64Array = self.xp.asarray(ends)  # its points and, last, the target
         self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
         self._next[:] = 0  # rows that are not reset may have passed more points than there are now
         self._left: F64Array = self.xp.full(self.num_episodes, np.nan)  # of the path at the last step
@@ -134,9 +130,6 @@ class TargetTask(Task):
         for name, place in (("target", options.target), ("evaluation_target", options.evaluation_target)):
             if place is not None and len(place) != size:
                 raise out_of_range(f"{name} of {cls.name}", place, f"{size} coordinates in metres", flag(name))
-        way = options.waypoints
-        if way is not None and len(way) % size:
-            raise ConfigError(f"waypoints of {cls.name} must be {size} coordinates each, got {way}. Set --waypoints.")
 
     @property
     def _observed_axes(self) -> str:
@@ -247,16 +240,11 @@ class MazeOptions(TargetOptions):
         return self.target is None
 
     def check(self) -> None:
-        """Check that `target_sampling` has an effect, and that `waypoints` lead to a fixed target."""
+        """Check that `target_sampling` has an effect."""
         if self.target is not None and self.target_sampling != "square":
             raise ConfigError(
                 f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} has no "
-                "effect. Omit --target-sampling, or set --target none and --waypoints none."
-            )
-        if self.waypoints is not None and self.has_random_target and not self.evaluation:
-            raise ConfigError(
-                f"waypoints {self.waypoints} need a fixed target, but the training target is random. "
-                f"Set --target, e.g. --target {' '.join(f'{x:g}' for x in Maze.own_target)}, or --waypoints none."
+                "effect. Omit --target-sampling, or set --target none."
             )
 
 
