@@ -74,4 +74,5 @@ def test_a_limit_of_the_address_space_counts():
 
 
 def test_a_missing_path_has_the_disk_of_its_nearest_folder(tmp_path):
+    assert free_disk(type(tmp_path)("/proc/none")) == 2**63  # no disk, rather than a full one
     assert free_disk(tmp_path / "a" / "b" / "c") == pytest.approx(shutil.disk_usage(tmp_path).free, rel=0.05)

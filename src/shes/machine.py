@@ -87,6 +87,7 @@ def resident_memory() -> int:
 
 
 def free_disk(path: Path) -> int:
-    """Return the free bytes on the disk of `path`, which may still be missing."""
+    """Return the free bytes on the disk of `path`, which may still be missing; 2**63 if it has none."""
     place = path.absolute()
-    return shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists())).free
+    usage = shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists()))
+    return usage.free if usage.total else 2**63  # /proc has no size: writing there shows what is wrong

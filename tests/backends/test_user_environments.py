@@ -95,13 +95,13 @@ def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
 
 
 @pytest.mark.extras
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch, number):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})
     process = runs.start("train", "gymnasium:User-v0", "--import", "users_module", *words)
     runs.wait_for_generation(process, tmp_path / "run", 2)
-    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    process.send_signal(number) if number == signal.SIGTERM else os.killpg(process.pid, number)
     assert runs.finish(process)[0] == 130
     made, closed = diary()
     assert len(closed) == len(made)

@@ -129,7 +129,7 @@ def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_ru
 def test_train_makes_a_folder_below_runs_if_none_is_named(shes, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["/somewhere/shes/__main__.py", "train", "point-gather"])
-    shes("train", "point-gather", *TINY, "--generations", 1)
+    shes("train", "point-gather", *TINY)
     (path,) = (tmp_path / "runs").iterdir()
     assert path.name.startswith("point-gather-smoke-seed5-")
     assert re.search(r"command +│ python -m shes train point-gather ", shes("info", path))
@@ -145,8 +145,8 @@ def test_evaluate_prints_a_table_or_json(shes, tiny_run):
 
 
 HANDED_ON = {
-    "render --checkpoint 0 last --out=x.mp4 run b --camera top --episode 3 --seed 7 --size 240 --steps 50 --out b.mp4 "
-    "--speed 2 --sensors": {
+    "render --checkpoint 0 last --out=b.mp4 run b --camera top --episode 3 --seed 7 --size 240 --steps 50 --speed 2 "
+    "--sensors": {
         "runs": ("run", "b"), "checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240,
         "steps": 50, "speed": 2.0, "sensors": True, "out": "b.mp4",
     },
@@ -247,8 +247,8 @@ def test_an_environment_of_an_imported_module_can_be_used(shes, tmp_path, own_mo
     assert "point-own" in [row["name"] for row in rows]
     assert "for point-own" in " ".join(shes(f"--import={name}", "train", "point-own", "--help").split())
     path = tmp_path / "run"
-    shes("train", "--import", name, "point-own", *TINY, "--generations", 1, "--out", path)
-    shes("resume", path, "--generations", 2, "--import", name)
+    shes("train", "--import", name, "point-own", *TINY, "--out", path)
+    shes("resume", path, "--generations", 5, "--import", name)
     assert json.loads(shes("evaluate", path, "--episodes", 2, "--workers", 1, "--json", "--import", name))
 
 

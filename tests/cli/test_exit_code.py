@@ -1,9 +1,11 @@
 """Output and exit codes: brackets are no markup, narrow or poor terminals show all, a closed pipe ends quietly."""
 
 import io
+import re
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -88,9 +90,27 @@ def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
     assert exit_code(work) == code
 
 
-def test_memory_that_runs_out_is_one_line(capsys):
-    assert exit_code(fail(MemoryError())) == 2
-    assert capsys.readouterr().err.startswith("Error: not enough memory (no more is free). Reduce the size")
+def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("shes.cli.program.free_memory", lambda: 1e12)
+    codes = [exit_code(fail(each)) for each in (MemoryError("9 TB"), ValueError("in C:\n9 TB: cannot allocate memory"))]
+    with pytest.raises(KeyError):  # a fault of ours has a traceback
+        exit_code(fail(KeyError()))
+    monkeypatch.setattr("shes.cli.program.free_memory", lambda: 2e8)
+    assert [*codes, exit_code(fail(ImportError("9 TB")))] == [2, 2, 2]
+    assert re.fullmatch(r"(Error: not enough memory \(9 TB.*\)\. Raise its limit, .*\n){3}", capsys.readouterr().err)
+
+
+def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch):
+    ended = []
+    for name, value in {"os._exit": ended.append, "shes.cli.program._END_S": 999, "sys.argv": ["shes", "none"]}.items():
+        monkeypatch.setattr(name, value)
+    assert main(["--version"]) == 0  # called by others, it ends nothing
+    assert main() == 2
+    (timer,) = (each for each in threading.enumerate() if isinstance(each, threading.Timer))
+    timer.cancel()
+    assert timer.daemon  # nor does it keep the program itself
+    timer.function(*timer.args)
+    assert ended == [2]
 
 
 TRAIN = ["train", "point-gather", *runs.flags(**{**runs.TINY, "generations": 2})]

@@ -56,7 +56,6 @@ LINES = {
     "train --preset smoke": "a run needs an environment: shes train ENV, or shes train --like RUN for that of a run",
     "train ant-gather --mirrored": "Missing value for argument '--mirrored'",
     "train ant-gather --population 8": "Unrecognized options: --population, 8 ... meant: ... --population-size INT",
-    "train ant-gather extra": "Unrecognized options: extra",
     "train ant-gather --sigma abc": "Error parsing --sigma: could not convert string to float: 'abc'",
     "train ant-gather --hidden 8 x": "Error parsing --hidden: ... ['8', 'x']",
     "train ant-gather --minimum-goal-distance=no": "Unrecognized options: no",
@@ -73,7 +72,8 @@ LINES = {
     **{f"{each}": f"{each} needs at least one run folder: shes {each} RUN" for each in ("plot", "report")},
     "render": "render needs at least one run and one checkpoint: shes render RUN",
     **{f"{each} gone": "gone does not exist. Give the folder" for each in ("resume", "plot", "report")},
-    **{f"{each} .": "is not a run folder: it has no config.json. Give" for each in ("resume", "evaluate", "plot")},
+    "list gone": "Error: gone is not a folder. Give one with runs below it, or none for those below runs/.",
+    **{f"{each} .": "no config.json is in it or up to 4 levels bel" for each in ("resume", "evaluate", "plot")},
 }
 
 
@@ -91,7 +91,6 @@ IN_FOLDERS = {
     "train point-gather --preset smoke --out file": "file is a file, not a folder. Choose another path with --out",
     "train point-gather --preset smoke --out file/run": "a part of the path is a file ... --out",
     "resume copy": "has made 4 generations, ... To go on: shes resume copy --generations 8",
-    "resume copy --generations 2": "has made 4 generations, ... To go on: shes resume copy --generations 8",
     "resume copy --sigma 1": "--sigma would change the numbers of the run; resume takes --backend, ... --workers.",
     "evaluate copy --checkpoint 77": f"there is no checkpoint ... generation_000077.npz. There are: {THERE}",
     "evaluate copy --checkpoint ../x": "there is no checkpoint",

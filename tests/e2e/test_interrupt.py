@@ -79,21 +79,29 @@ def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pa
 
 
 @pytest.mark.parametrize("place", ["between generations", "while a checkpoint is written"])
-def test_ctrl_c_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatch, place):
+def test_a_signal_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatch, place):
     def save(path, checkpoint):
         if checkpoint.generation == 2 and path.name == "last.npz":
             send()
         return original(path, checkpoint)
 
-    original, send = recorder.save_checkpoint, partial(signal.raise_signal, signal.SIGINT)
+    number = signal.SIGINT if place == "between generations" else signal.SIGHUP
+    original, send = recorder.save_checkpoint, partial(signal.raise_signal, number)
     listener = runs.AfterGeneration(2, send) if place == "between generations" else None
     if listener is None:
         monkeypatch.setattr(recorder, "save_checkpoint", save)
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(each) for each in signal.Signals]
     with pytest.raises(KeyboardInterrupt):
         runs.train_tiny(tmp_path / "run", listener=listener)
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert [signal.getsignal(each) for each in signal.Signals] == before
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     monkeypatch.undo()
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []
+
+
+def test_a_run_under_nohup_survives_its_terminal(tmp_path):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    path = runs.train_tiny(tmp_path, listener=runs.AfterGeneration(2, partial(signal.raise_signal, signal.SIGHUP)))
+    signal.signal(signal.SIGHUP, before)
+    assert load_checkpoint(path / "checkpoints" / "last.npz").generation == 4

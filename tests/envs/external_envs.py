@@ -37,7 +37,7 @@ class Car(gymnasium.Env):
 
     def _info(self):
         near = bool(np.abs(self.place - self.target).max() < 0.5)
-        return {"is_success": near, "where": self.place.copy(), "yaw": self.yaw}
+        return {"is_success": np.float32(near), "where": self.place.copy(), "yaw": self.yaw}
 
     def reset(self, *, seed=None, options=None):
         if self.fault == "reset" and seed != 0:
@@ -52,7 +52,7 @@ class Car(gymnasium.Env):
         self.age += 1
         self.place = self.place + 0.1 * action[:2]
         self.yaw += 0.5 * float(action[2])
-        terminated, truncated = (0 < after <= self.age for after in self.ends)
+        terminated, truncated = (np.bool_(0 < after <= self.age) for after in self.ends)
         reward = -float(np.abs(self.place - self.target).sum())
         reward = self.value if self.age > 2 and self.spoils == "pay" else reward
         return self._fail(self._observe(), reward, terminated, truncated, self._info())
@@ -68,8 +68,11 @@ class Car(gymnasium.Env):
             del info["where"]
         observation |= {"pose": np.zeros(5)} if fault == "shape" else {}
         info |= {"is_success": np.array([True, False])} if fault == "success" else {}
+        info |= {fault: "1"} if fault in ("is_success", "diverged") else {}
+        told = {"reward": reward, "terminated": terminated, "truncated": truncated}
+        told |= {fault: "1"} if fault in told else {}
         observation = np.float64(1) if fault == "scalar" else observation
-        return observation, None if fault == "unpaid" else reward, terminated, truncated, info
+        return observation, *told.values(), info
 
     def render(self):
         if self.fault == "draw":

@@ -348,7 +348,11 @@ PLACE = " ... external_envs.py:"
         ("exit", "cannot step: SystemExit: 3 (" + PLACE),
         ("shape", "cannot step: its observation must be one of Dict( ... ), got {'pose': array([0 ... , 'gear': ... "),
         ("scalar", "cannot step: its observation must be one of Dict( ... ), got np.float64(1.0)."),
-        ("unpaid", "cannot step: its reward must be a number, got None."),
+        ("reward", "cannot step: its reward must be a number, got '1'."),
+        *(
+            (it, f"cannot step: its {it} must be ... '1'.")
+            for it in ("terminated", "truncated", "is_success", "diverged")
+        ),
         ("where", "cannot step: KeyError: 'where' (" + PLACE),
         ("success", "cannot step: ValueError: The truth value of an array"),
     ],

@@ -125,7 +125,7 @@ def test_a_table_that_does_not_fit_is_refused(cache, monkeypatch, kind, where):
     ("call", "error", "message"),
     [
         (lambda: NoiseTable.open(0), ConfigError, "at least 1, got 0 ... --noise-table-size"),
-        (lambda: NoiseTable.open(100), StorageError, "cannot be kept ... SHES_CACHE_DIR"),
+        (lambda: NoiseTable.open(100), StorageError, "kept in ... /cache: ... SHES_CACHE_DIR to a folder that"),
         (lambda: NoiseTable.open_copy(Path("no.f32")), StorageError, "no.f32 cannot be opened ... Start the run again"),
     ],
 )

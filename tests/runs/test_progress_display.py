@@ -65,18 +65,19 @@ def test_a_terminal_shows_everything_within_its_width(clock, width):
     # This line the terminal wraps by itself, so that the path can be copied whole.
     assert first == "Training point-gather (smoke) on 2 workers. Run folder: runs/a"
     assert max(cell_len(line) for line in lines) <= width
-    last = "\n".join(lines[-10:])
+    last = "\n".join(lines[-11:])
     for fact in (
         "generation         12 / 40",
         "controller return  -1.23 (best 3.00)",
         "primitive return   -12.34 (best 98.76)",
         "evaluation score   5.00 ± 0.50",
-        "env steps/s        23,457 (0.1 M so far)",
+        "env steps          148,140",
+        "env steps/s        23,457",
         "time left          56 s",
         "worker 123 died (exit code -9); 4 tasks",
     ):
         assert fact in last
-    bar = lines[-9 if width == 40 else -8]
+    bar = lines[-10 if width == 40 else -9]
     assert cell_len(bar) == min(width, 100)
     assert set(bar) <= set("━╸╺")
 
@@ -90,7 +91,7 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(clock, monkeypatch):
     assert [int(line.split()[1]) for line in shown] == [1, 6, 11, 16, 21, 26, 31, 36, 40]
     assert lines[0] == (
         "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.34 (best 98.76)  "
-        "evaluation score -  env steps/s 23,457 (0.0 M so far)  time left -"
+        "evaluation score -  env steps 12,345  env steps/s 23,457  time left -"
     )
     assert lines[-1].endswith("time left 0 s")
     assert "worker 123 died (exit code -9); 4 tasks are done again" in lines

@@ -42,7 +42,7 @@ def test_a_name_is_found_and_a_path_wins_over_it(elsewhere, run_copy):
 
 def test_what_is_no_agent_is_refused_by_saying_why(elsewhere, monkeypatch):
     Path("ant-walker").mkdir()
-    with raises(RunFolderError, "no config.json. ... It hides the shipped agent ant-walker: rename it"):
+    with raises(RunFolderError, "no config.json ... It hides the shipped agent ant-walker: rename it"):
         shes.load("ant-walker")
     monkeypatch.setattr(shipped, "AGENTS", elsewhere / "nowhere")
     with pytest.raises(RunFolderError, match=r"\(its --out\)\.$"):

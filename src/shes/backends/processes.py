@@ -79,8 +79,8 @@ class _WorkerProcess(RemoteWorker):
         self._socket, theirs = socket.socketpair()
         # -P: a file in the working directory must not replace a module of the standard library.
         command = [sys.executable, "-P", "-m", "shes.backends.processes", str(theirs.fileno()), str(os.getpid())]
-        # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # The worker inherits the mask: Ctrl-C or the end of a terminal reach it even before it can ignore them.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             self._popen = subprocess.Popen(
                 command,

@@ -26,8 +26,6 @@ from shes.settings import Ge, checked
 from shes.sim.simulator import CpuSimulator
 from shes.types import F64Array, IntArray, Listing, facts_listing
 
-_REPLAYED = 24  # number of whole episodes that the bare loop replays
-
 
 @checked
 def bench(
@@ -132,19 +130,14 @@ class BarePhysics:
         return steps / elapsed
 
 
-def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: int = _REPLAYED) -> BarePhysics:
+def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: int = 24) -> BarePhysics:
     """Return the physics of about `num_episodes` whole episodes of the first generation, played on the CPU.
 
     The share of branches, which start from snapshots of these episodes, is that of the whole episodes.
     """
     settings, table_size, state = algorithm.hyperparameters, algorithm.table.size, algorithm.start(seed)
-    recorders: list[_RecordingSimulator] = []
-
-    def recorder(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
-        recorders.append(_RecordingSimulator(model, num_sims))
-        return recorders[-1]
-
-    plan = replace(algorithm.plan(), device="cpu", simulator=recorder)
+    recorders = list[_RecordingSimulator]()
+    plan = replace(algorithm.plan(), device="cpu", simulator=partial(_RecordingSimulator, recorders))
     with SerialBackend(partial(RolloutWorker, plan)) as worker:
         draw, *others = settings.estimates
         draws = draw(state, settings, table_size, ())
@@ -164,8 +157,9 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
 class _RecordingSimulator(CpuSimulator):
     """A simulator that records the state of every simulation at its first step after a reset, and all its controls."""
 
-    def __init__(self, model: mujoco.MjModel, num_sims: int) -> None:
+    def __init__(self, recorders: list[_RecordingSimulator], model: mujoco.MjModel, num_sims: int) -> None:
         super().__init__(model, num_sims)
+        recorders.append(self)
         self.episodes: list[RecordedEpisode] = []
         self._running: dict[int, RecordedEpisode] = {}
 

@@ -141,16 +141,15 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def _check_flags(words: Sequence[str], command: Callable[..., int]) -> None:
-    """Raise ConfigError for a flag of several values that is given twice."""
-    several = {each.flag for each in known_settings().values() if each.kind is tuple}
-    for name, kind in command.__annotations__.items():
-        first, *notes = get_args(kind) or (None,)
-        if get_origin(first) is tuple and tyro.conf.UseAppendAction not in notes:
-            several.add(flag(name))
+    """Raise ConfigError for a flag, or one and its opposite or alias, that is given twice and not repeatable."""
+    kinds = command.__annotations__
+    repeatable = {flag(name) for name in kinds if tyro.conf.UseAppendAction in get_args(kinds[name])}
+    aliases = {flag(each.name): each.flag for each in known_settings().values()} | {"--checkpoints": "--checkpoint"}
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
+    given = [aliases.get(each, each) for each in (each.replace("--no-", "--") for each in given)]
     for each in given:
-        if each in several and given.count(each) > 1:
-            raise ConfigError(f"{each} is given twice. Give it once, with all its values.")
+        if each not in repeatable and given.count(each) > 1:
+            raise ConfigError(f"{each} is given twice. Give it once; several values follow it, where it takes several.")
 
 
 def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:

@@ -8,12 +8,14 @@ import io
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
 import shes
 from shes.errors import ConfigError, ShesError, UnknownNameError
+from shes.machine import free_memory
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "envs": ("envs.named_environments.list_environments", "list the environments"),
@@ -38,6 +40,8 @@ EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """Exit codes after Ctrl-C or SIGTERM, and if the reader of the output has gone."""
 _LEAST_COLUMNS = 20  # tables and help need some width
+_LEAST_MEMORY = 500e6  # with less, libraries fail in many ways, and rich cannot print it
+_END_S = 60.0  # which threads, child processes and exit handlers of a user's module have to end after the command
 
 _OVERVIEW = """\
 usage: shes COMMAND ...
@@ -73,7 +77,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _import_registering(module)
         return _run(words or ["--help"])
 
-    return exit_code(run, is_debug=asked.debug)
+    code = 1
+    try:
+        code = exit_code(run, is_debug=asked.debug)
+        return code
+    finally:
+        if arguments is None:  # the process is this command's alone
+            ending = threading.Timer(_END_S, os._exit, (code,))
+            ending.daemon = True
+            with suppress(RuntimeError):  # no memory for a thread
+                ending.start()
 
 
 def _run(words: Sequence[str]) -> int:
@@ -107,10 +120,8 @@ def _import_registering(name: str | None) -> None:
     try:
         importlib.import_module(name)
     except (Exception, SystemExit) as error:
-        problem = (
-            f"the module failed: {type(error).__name__}: {str(error).rstrip('.')}. "
-            "Correct it; --debug shows where it failed."
-        )
+        fault = f"{type(error).__name__}: {str(error).rstrip('.')}"
+        problem = f"the module failed: {fault}. Correct it; --debug shows where it failed."
         if isinstance(error, ModuleNotFoundError) and error.name and f"{name}.".startswith(f"{error.name}."):
             file = f" Give a module's name, not a file: --import {name[:-3]}." if name.endswith(".py") else ""
             problem = (
@@ -136,16 +147,11 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
             for note in getattr(stop, "__notes__", ())[-1:]:  # the last one knows most
                 print(note)
             print("Interrupted.", file=sys.stderr)
-        except (MemoryError, OSError, ShesError) as error:  # OSError: a full disk, a path that cannot be read, ...
+        except Exception as error:
             if is_debug or isinstance(error, BrokenPipeError):
                 raise
-            code = error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
-            text = str(error)
-            if isinstance(error, MemoryError):
-                text = f"not enough memory ({text or 'no more is free'}). Reduce the size of the run; see --help."
-            from shes.console import LineConsole  # rich is slow to import
-
-            LineConsole(stderr=True).print_error(text)
+            code = getattr(error, "exit_code", ConfigError.exit_code)
+            _tell(error)
         sys.stdout.flush()
     except BrokenPipeError:
         for stream in (sys.stdout, sys.stderr):  # the null device takes what Python flushes when it exits
@@ -156,6 +162,20 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return code or BROKEN_PIPE
     return code
+
+
+def _tell(error: Exception) -> None:
+    """Print `error`; raise it if it is none that a person can do something about."""
+    text = (str(error).strip().splitlines() or ["no more is free"])[-1]  # of a worker's traceback the last line
+    is_known = isinstance(error, OSError | ShesError)  # OSError: a full disk, a path that cannot be read, ...
+    if isinstance(error, MemoryError) or "allocate memory" in text or (not is_known and free_memory() < _LEAST_MEMORY):
+        print(f"Error: not enough memory ({text}). Raise its limit, or reduce the size of the run.", file=sys.stderr)
+    elif is_known:
+        from shes.console import LineConsole  # rich is slow to import
+
+        LineConsole(stderr=True).print_error(str(error))
+    else:
+        raise error
 
 
 def _mend_streams() -> None:

@@ -113,6 +113,7 @@ class ExternalTask(EpisodeBatch):
             with self.environment.explained("step"):
                 observation, reward, terminated, truncated, info = env.step(actions[i])
                 self._physics_s += perf_counter() - start
+                terminated, truncated = _truth("terminated", terminated), _truth("truncated", truncated)
                 self._terminated[i] = terminated or truncated
                 self.truncated[i] = truncated and not terminated
                 self._record(i, env, observation, reward, info)
@@ -122,12 +123,11 @@ class ExternalTask(EpisodeBatch):
     def _record(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: Any, info: Any) -> None:
         """Store the results of a step or reset of environment `i`; a diverged episode earns and scores 0."""
         row, physics = self._reader.flat(observation), find_physics(env)
-        try:
-            reward = float(reward)
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"its reward must be a number, got {reward!r}.") from error
+        if not hasattr(reward, "__float__"):  # as None and text, which float() would read
+            raise ConfigError(f"its reward must be a number, got {reward!r}.")
+        reward = float(reward)
         is_number = np.abs(row) <= LARGEST  # False for NaN, too
-        is_broken = bool(info.get("diverged", False)) or not (abs(reward) <= LARGEST and is_number.all())
+        is_broken = _truth("diverged", info.get("diverged", False)) or not (abs(reward) <= LARGEST and is_number.all())
         self._rows[i] = np.where(is_number, row, 0.0)
         self.diverged[i] |= is_broken or (physics is not None and physics.warning.number[DIVERGENCE].any())
         if self.diverged[i]:
@@ -139,7 +139,7 @@ class ExternalTask(EpisodeBatch):
         if is_score and success is None and self._terminated[i]:
             entries = ", ".join(info) or "empty"
             raise ConfigError(f"its score is success, but the last info does not report it: {entries}.")
-        self._success[i] = bool(success)
+        self._success[i] = success is not None and _truth("is_success", success)
         self._score[i] = self._success[i] if is_score else self.running_return[i]
         if self._reader.can_locate:
             *self._position[i], self._heading[i] = self._reader.planar_pose(row, info, env)
@@ -269,6 +269,13 @@ class ExternalEnvironment:
                 told = f"{self.name} cannot {action}: {str(error).partition(',')[0]}"
             fix = f" (pip install '{extra}')" if extra and "pip install" not in told else ""
             raise MissingExtraError(told + fix) from error
+
+
+def _truth(name: str, value: Any) -> bool:
+    """Return a truth value that an environment reports as `name`; raise ConfigError if it is something else."""
+    if value not in (0, 1):  # as are False and True, also those of NumPy
+        raise ConfigError(f"its {name} must be True, False, 1 or 0, got {value!r}.")
+    return bool(value)
 
 
 def _import_robotics(env_id: str) -> None:

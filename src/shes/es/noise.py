@@ -188,8 +188,8 @@ def _build(path: Path, size: int) -> None:
         write_atomically(path, write)
     except StorageError as error:
         raise StorageError(
-            f"the noise table ({4 * size / 1e9:,.1f} GB) cannot be kept: {error} "
-            "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
+            f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be kept in {path.parent}: {error.__cause__}. "
+            "Set SHES_CACHE_DIR to a folder that you may write to, with room, or lower --noise-table-size."
         ) from error
 
 

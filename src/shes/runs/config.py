@@ -34,11 +34,11 @@ class RunSettings(Settings):
     algorithm: Annotated[str, Choices(ALGORITHMS), Shown(everyday=True)] = "shes"
     """Algorithm."""
     preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
-    """Preset of the other settings."""
+    """Preset of the other settings. `paper` has the values of the SHES paper, most of them in its Table I."""
     seed: Annotated[int, Ge(0), Shown(everyday=True)] = 1
     """Seed of every random draw."""
     generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
-    """Generations after which the run ends (Table I: 3000)."""
+    """Generations after which the run ends (the SHES paper's Table I: 3000)."""
     env_steps: Annotated[int, Ge(1), Execution()] | None = None
     """Environment steps of training; the run ends with the generation that reaches them, if not before."""
     minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None

@@ -28,6 +28,7 @@ from shes.sim.warp_device import WarpDevice
 from shes.storage import can_lock, storage_errors, write_atomically
 
 _FORMAT = 2
+_DEPTH = 4  # of `runs/SWEEP/VALUE/seed-1` in the working directory
 _LOCK_S = 0.5
 """How long a lock is waited for: a list of runs takes it for a moment."""
 _PACKAGES = ("shes", "mujoco", "numpy")
@@ -86,20 +87,22 @@ class RunFolder:
         if folder.config.is_file():
             return folder
         if below := cls.below(path):
-            what, which = f"a folder of {len(below)} runs", "one of them, such as "
-            if len(below) == 1:
-                what, which = "no run folder, but there is one below it", ""
-            raise RunFolderError(f"{path} is {what}: give {which}{below[0].path}.")
-        what = "is not a run folder: it has no config.json" if path.exists() else "does not exist"
+            raise RunFolderError(f"{path} is no run folder. Below it are {len(below)}: give one, as {below[0].path}.")
+        what = f"is not a run folder: no config.json is in it or up to {_DEPTH} levels below"
+        what = what if path.exists() else "does not exist"
         raise RunFolderError(
             f"{path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
         )
 
     @classmethod
     def below(cls, path: Path) -> list[RunFolder]:
-        """Return the run folders below `path` in natural order, without other programs' folders with a config.json."""
-        found = [cls(file.parent) for file in path.glob("**/config.json") if file.is_file()]
-        known = [folder for folder in found if folder.checkpoints.is_dir() or folder.progress.is_file()]
+        """Return the run folders up to `_DEPTH` levels below `path`, in natural order; none of other programs."""
+        found = list[RunFolder]()
+        for place, folders, files in os.walk(path):
+            found += [cls(Path(place))] if "config.json" in files else []
+            if len(Path(place).parts) - len(path.parts) == _DEPTH:
+                folders.clear()
+        known = [each for each in found if each.checkpoints.is_dir() or each.progress.is_file()]
         return sorted(known, key=lambda folder: _natural(folder.path))
 
     @contextmanager

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from shes.errors import ShesError
+from shes.errors import RunFolderError, ShesError
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import FreshScore, read_agent, shipped_name, shipped_names
@@ -96,6 +96,8 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     Args:
         folder: The folder.
     """
+    if not Path(folder).is_dir() and str(folder) != "runs":
+        raise RunFolderError(f"{folder} is not a folder. Give one with runs below it, or none for those below runs/.")
     runs = [run_state(each) for each in RunFolder.below(Path(folder))]
     agents = {name: read_agent(name) for name in shipped_names()}
     parts: list[Table | str] = [] if runs else [f"There is no run below {folder}."]

@@ -132,12 +132,15 @@ class ProgressDisplay:
             score = f"{found['score_mean']:.2f} {sign} {found['score_std']:.2f}"
         at_most = " at most" * (self._run.env_steps is not None or self._run.minutes is not None)
         levels = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
-        returns = {name: (row[f"{name}_return_mean"], row[f"{name}_return_max"]) for name in levels}
         return [
             ("generation", f"{row['generation']} / {self._run.generations}{at_most}"),
-            *((f"{name} return", f"{mean:.2f} (best {most:.2f})") for name, (mean, most) in returns.items()),
+            *(
+                (f"{it} return", f"{row[f'{it}_return_mean']:.2f} (best {row[f'{it}_return_max']:.2f})")
+                for it in levels
+            ),
             ("evaluation score", score),
-            ("env steps/s", f"{row['env_steps_per_s']:,.0f} ({row['env_steps'] / 1e6:,.1f} M so far)"),
+            ("env steps", f"{row['env_steps']:,.0f}"),
+            ("env steps/s", f"{row['env_steps_per_s']:,.0f}"),
             ("time left", self._time_left()),
         ]
 

@@ -210,7 +210,7 @@ def check_resumable(names: Iterable[str]) -> None:
 
 @contextmanager
 def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, _Interruption]]:
-    """Yield the started backend of the run, with Ctrl-C and SIGTERM delayed."""
+    """Yield the started backend of the run, with the signals that end it delayed."""
     config: TrainConfig = algorithm.problem.settings
     with _Interruption() as interruption, build_backend(config, algorithm.plan(), most_episodes(config)) as backend:
         yield backend, interruption
@@ -245,7 +245,7 @@ def _run(folder: RunFolder, config: TrainConfig, last: Checkpoint) -> Run:
 
 
 class _Interruption:
-    """A context that delays Ctrl-C and SIGTERM while files are written; the second signal ends the run at once."""
+    """A context that delays Ctrl-C, SIGTERM and SIGHUP while files are written; a second one ends the run at once."""
 
     def __init__(self) -> None:
         self.is_requested = False
@@ -254,8 +254,9 @@ class _Interruption:
 
     def __enter__(self) -> _Interruption:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._previous[number] = signal.signal(number, self._handle)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # by `nohup`
+                    self._previous[number] = signal.signal(number, self._handle)
         return self
 
     def __exit__(self, *exception: object) -> None:
