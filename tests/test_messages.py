@@ -126,7 +126,7 @@ MISTAKES = [
       for make in (TaskEnv, TaskVectorEnv)
       for options, error, message in (
           ({"integrater": "rk4"}, ConfigError, "no option 'integrater'. Options: integrator"),
-          ({"observe_block": True}, ConfigError, "no option 'observe_block'. Options: "),
+          ({"max_boxes": 3}, ConfigError, "no option 'max_boxes'. Options: "),
           ({"integrator": "rk5"}, UnknownNameError, "Did you mean 'rk4'"),
           ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
           ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),

@@ -34,7 +34,9 @@ def test_contributing_names_what_exists_and_every_marker():
     assert {target for words in re.findall(r"`make ([a-z -]+)`", CONTRIBUTING) for target in words.split()} <= TARGETS
     for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or "PACKAGE" in path or (ROOT / path).exists(), path
-    for path in re.findall(r"`((?:agents|backends|baselines|cli|envs|es|evolution|rollout|runs)/[\w/.-]*)`", CONTRIBUTING):
+    for path in re.findall(
+        r"`((?:agents|backends|baselines|cli|envs|es|evolution|rollout|runs)/[\w/.-]*)`", CONTRIBUTING
+    ):
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
     registries = {**vars(goals), **vars(rewards), **vars(export), **vars(program)}
     assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "LEARNERS", "PRINTS"}

@@ -112,12 +112,9 @@ class ReferenceNavigation(ReferenceEpisode):
 
     is_fixed = True
     """Whether the target is not drawn."""
-    sees_block = None
-    """Whether the block is observed; None is as in the specification."""
 
     def observation(self):
-        sees_block = self.spec == "shes" if self.sees_block is None else self.sees_block
-        seen = self.coordinates(*((None, None) if sees_block else self.num_robot))
+        seen = self.coordinates(*((None, None) if self.spec == "shes" else self.num_robot))
         scale = self.target_scale if self.spec == "shes" else 1.0
         return np.array([*seen, self.steps * 0.001, *(np.array(self.target) * scale)])
 

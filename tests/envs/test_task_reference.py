@@ -174,11 +174,6 @@ def test_success_begins_just_below_its_radius(name, spec):
             )
         ),
         ("point-maze", {"target_sampling": "free_cells"}, {"free_cells": True}),
-        *(
-            (name, {"observe_block": sees}, {"sees_block": sees})
-            for name in ("ant-push", "ant-fall", "point-push", "point-fall")
-            for sees in (False, True)
-        ),
         *(("point-flagrun", {"controller_interval": interval}, {"interval": interval}) for interval in (1, 3)),
     ],
 )

@@ -43,13 +43,13 @@ def test_a_population_fits_every_generation_or_none(name, population, mirrored, 
 @pytest.mark.parametrize(
     ("name", "population", "mirrored", "learns", "message"),
     [
-        ("many_to_many", 10, "quad", BOTH, "multiple of 4, the size of a group with 'quad' mirroring when 2 levels"),
-        ("many_to_many", 7, "quad", CONTROLLER_ALONE, "1 level is perturbed, got 7. Set --population-size 6 or 8."),
+        ("many_to_many", 10, "quad", BOTH, "multiple of 4, a group with 'quad' mirroring, got 10."),
+        ("many_to_many", 7, "quad", CONTROLLER_ALONE, "got 7. Set --population-size 6 or 8."),
         ("many_to_many", 0, "none", (True,), "got 0. Set --population-size 1 or 2."),
-        ("one_to_many", 7, "quad", BOTH, "when 1 level is perturbed, got 7."),
-        ("one_to_many_halves", 10, "quad", BOTH, "multiple of 4, a group of 2 with 'quad' mirroring for each level"),
+        ("one_to_many", 7, "quad", BOTH, "multiple of 2, a group with 'quad' mirroring, got 7."),
+        ("one_to_many_halves", 10, "quad", BOTH, "multiple of 4, a group with 'quad' mirroring for each level"),
         ("one_to_many_halves", -4, "quad", BOTH, "got -4. Set --population-size 4 or 8."),
-        ("one_to_many_halves", 7, "pair", CONTROLLER_ALONE, "multiple of 2, the size of a group with 'pair'"),
+        ("one_to_many_halves", 7, "pair", CONTROLLER_ALONE, "multiple of 2, a group with 'pair'"),
     ],
 )
 def test_a_population_that_groups_do_not_fill_is_refused(name, population, mirrored, learns, message):

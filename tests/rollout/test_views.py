@@ -146,8 +146,7 @@ BLOCK = ("block_x", "block_y", "block_vx", "block_vy")
 
 @pytest.mark.parametrize(("env", "block"), [("ant-maze", ()), ("ant-push", BLOCK)])
 def test_the_position_view_shows_the_place_and_the_task(env, block):
-    settings = {"controller_view": "position", **({"observe_block": True} if block else {})}
-    made = build_algorithm(make_config(env, "smoke", settings))
+    made = build_algorithm(make_config(env, "smoke", {"controller_view": "position"}))
     seen = ("torso_x", "torso_y", *block, "time", "target_x", "target_y")
     assert made.design.controller_view.names(made.problem.sample().observation_names) == seen
 

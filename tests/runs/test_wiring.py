@@ -208,7 +208,6 @@ GROUPS: dict[str, Group] = {
         "explore_horizon": Row(
             5, lambda r: max((task.start.steps for each in r.of("exploration") for task in each.tasks), default=None), 0
         ),
-        "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7]),
     }, env="point-push", common={**SHORT, "primitive_view": "egocentric", "controller_interval": 5}),
     "maze": Group({
         "target": Row((1.0, 2.0), lambda r: batches(lambda b: np.unique(b.target, axis=0).tolist())(r)[0], [[1, 2]]),

@@ -34,3 +34,10 @@ class DisorderedSimulator(WarpSimulator):
             shape = (*array.shape, wp.types.type_size_in_bytes(array.dtype) // 4)
             values = wp.array(ptr=array.ptr, dtype=wp.int32, shape=shape, device="cpu")
             wp.launch(shuffle, dim=1, inputs=[values, count, self.seed, data.time])
+
+    def contacts_and_their_rows(self):
+        """Return the contacts that have rows, and the contacts to which the rows at their addresses belong."""
+        data, count = self._data, int(self._data.nacon.numpy()[0])
+        rows, sims = data.contact.efc_address.numpy()[:count, 0], data.contact.worldid.numpy()[:count]
+        (contacts,) = (rows >= 0).nonzero()
+        return contacts.tolist(), data.efc.id.numpy()[sims[contacts], rows[contacts]].tolist()

@@ -286,7 +286,6 @@ def _whole_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None
 def _whole(word: str) -> int:
     with suppress(ValueError):
         return int(word)
-    with suppress(ValueError):
-        if (number := float(word)).is_integer():  # neither infinity nor NaN
-            return int(number)
-    raise ValueError(f"{word} is not a whole number")
+    if not (number := float(word)).is_integer():  # also infinity and NaN
+        raise ValueError(f"{word} is not a whole number")
+    return int(number)

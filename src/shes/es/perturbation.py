@@ -104,15 +104,11 @@ def member_signs(
 def check_population_size(perturbation: str, mirrored: str, population_size: int, learns: Sequence[bool]) -> None:
     """Raise ConfigError unless the members fill whole groups; nothing of the population's size is allocated."""
     parts = PERTURBATIONS.find(perturbation)(0, np.flatnonzero(learns).tolist())
-    levels, members = len(parts[0]), len(MIRRORINGS.find(mirrored)(len(parts[0])))
-    whole = members * len(parts)
+    whole = len(parts) * len(MIRRORINGS.find(mirrored)(len(parts[0])))
     if population_size <= 0 or population_size % whole:
-        perturbed = f"{levels} level{'s are' if levels > 1 else ' is'} perturbed"
-        group = f"the size of a group with {mirrored!r} mirroring when {perturbed}"
-        if len(parts) > 1:
-            group = f"a group of {members} with {mirrored!r} mirroring for each level that learns"
+        each = " for each level that learns" if len(parts) > 1 else ""
         lower = max(whole, population_size - population_size % whole)
         raise ConfigError(
-            f"population_size must be a positive multiple of {whole}, {group}, got {population_size}. "
-            f"Set --population-size {lower} or {lower + whole}."
+            f"population_size must be a positive multiple of {whole}, a group with {mirrored!r} mirroring{each}, got "
+            f"{population_size}. Set --population-size {lower} or {lower + whole}."
         )

@@ -195,7 +195,7 @@ def _check_exploration(settings: Any) -> None:
         raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
     options, own = settings.environment, environment.task.own_target
     target, sought = options.target or own, options.evaluation_target or own
-    if options.has_random_target:
+    if environment.task.draws_targets and options.target is None:
         fault, fix = "the training target is random", "--target, e.g. --target 0 16"
     elif target != sought:
         fault = f"it searches for a way to evaluation's target {sought}, while the training target is {target}"

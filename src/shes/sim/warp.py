@@ -81,7 +81,7 @@ class WarpSimulator(Simulator):
             njmax: Size of each simulation's constraint buffer: rows for contacts, joint limits, friction losses and
                 equalities. By default from the model's geoms and limits.
             deterministic: Whether constraint rows (of a dense Jacobian) and sums are in a fixed order, so that results
-                repeat bit by bit on a GPU; slower. Not covered: elliptic cones, adhesion, SDFs, flexes and sleep.
+                repeat bit by bit on a GPU; slower. Not for elliptic cones. Adhesion, SDFs and flexes are not covered.
         """
         self._device = WarpDevice(device)
         self._warp, self._mujoco_warp = load_warp()
@@ -94,6 +94,11 @@ class WarpSimulator(Simulator):
                 f"the Warp simulator supports models whose state is qpos and qvel ({model.nq + model.nv} numbers), got "
                 f"one of {size}: activations, delays or plasticity. Use --device cpu."
             )
+        if deterministic and model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
+            raise ConfigError(
+                "deterministic steps need pyramidal friction cones, but this model has elliptic ones. Omit "
+                '--deterministic, or set cone="pyramidal" in the model\'s <option>.'
+            )
         default = default_sizes(model)
         self.nconmax, self.njmax = nconmax or default[0], njmax or default[1]
         if num_sims * self.nconmax > _MAX_CONTACTS:
@@ -101,9 +106,7 @@ class WarpSimulator(Simulator):
                 f"{num_sims} simulations with room for {self.nconmax} contacts each are more than mujoco-warp "
                 f"supports ({_MAX_CONTACTS:,}). Set --nconmax or --chunk-size lower."
             )
-        self.model = model
-        self.num_sims = num_sims
-        self.xp = self._device.xp
+        self.model, self.num_sims, self.xp = model, num_sims, self._device.xp
         with self._warp.ScopedDevice(self._device.warp_device):
             self._allocate(deterministic)
         self._graphs: dict[int, Any] = {}
@@ -139,8 +142,7 @@ class WarpSimulator(Simulator):
         rows.geom, rows.geomcollisionid, rows.efc_address = contact.geom, contact.geomcollisionid, contact.efc_address
         rows.places = wp.zeros((sims, self.njmax), dtype=wp.int32)
         self._kept_rows = wp.zeros(data.efc.J.shape if deterministic else (0, 0, 0), dtype=wp.int32)
-        self._peak_constraints = wp.zeros(sims, dtype=wp.int32)
-        self._peak_contacts = wp.zeros(1, dtype=wp.int32)
+        self._peak_constraints, self._peak_contacts = (wp.zeros(size, dtype=wp.int32) for size in (sims, 1))
         self.qpos, self.qvel, self.ctrl = view(arrays.qpos), view(arrays.qvel), view(arrays.wanted_ctrl)
         self.diverged, self._active = view(arrays.diverged), view(arrays.active)
         self.state_parts = (self.qpos, self.qvel, view(arrays.warmstart), view(arrays.time).reshape(sims, 1))

@@ -224,17 +224,14 @@ def _labels(firsts: Sequence[RunData]) -> list[str]:
     alike = _divided(designs, lambda design: [design.get(name) for name in _FIRST])
     names = list(dict.fromkeys(chain(*map(differing_settings, alike))))
     names.sort(key=lambda name: name not in transferred_levels())  # a level of another run brings other settings
-    labels = [_label(design, [*kind, *names]) for design in designs]
+    labels = []
+    for design in designs:
+        shown = [f"{name.replace('_', ' ')} {setting_text(design[name])}" for name in (*kind, *names) if name in design]
+        more = f" and {len(shown) - _MOST_NAMED} more" if len(shown) > _MOST_NAMED else ""
+        labels.append(", ".join(shown[:_MOST_NAMED]) + more)
     if len(set(labels)) == len(labels):
         return labels
     return [f"{label}, {first.name}" if label else first.name for label, first in zip(labels, firsts, strict=True)]
-
-
-def _label(settings: dict[str, Any], names: list[str]) -> str:
-    """Return the values of settings `names`, at most `_MOST_NAMED` of them."""
-    shown = [f"{name.replace('_', ' ')} {setting_text(settings[name])}" for name in names if name in settings]
-    more = len(shown) - _MOST_NAMED
-    return ", ".join(shown[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def setting_text(value: Any) -> str:

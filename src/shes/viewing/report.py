@@ -183,8 +183,11 @@ def _maps(
                 add(run.name + title, _plot(f"map {run.name}{title}", figure))
         if has_videos:
             begin_part()
-            with _noting(run, "video"):
-                add(run.name, f'<video controls loop muted playsinline src="{_video_uri(run, seed)}"></video>')
+            steps = min(_VIDEO_STEPS, run.config.evaluation_steps)
+            with _noting(run, "video"), tempfile.TemporaryDirectory(prefix="shes-report-") as folder:
+                out = render(run.folder.path, Path(folder) / "walk.mp4", size=_VIDEO_PIXELS, steps=steps, seed=seed)
+                uri = f"data:video/mp4;base64,{base64.b64encode(out.read_bytes()).decode()}"
+                add(run.name, f'<video controls loop muted playsinline src="{uri}"></video>')
     hint = (
         f"Paths of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of one run of "
         f"each of the first {len(groups)} groups. A dot is the end of a path, a cross a goal. A video is the beginning "
@@ -192,14 +195,6 @@ def _maps(
     )
     grid = "\n".join(['<div class="cards">', *cards, "</div>"])
     return _section("Maps and videos", _paragraph(hint), grid) if cards else ""
-
-
-def _video_uri(run: RunData, seed: int | None) -> str:
-    """Return a video of the first steps of a run's first fresh episode, as a data URI."""
-    steps = min(_VIDEO_STEPS, run.config.evaluation_steps)
-    with tempfile.TemporaryDirectory(prefix="shes-report-") as folder:
-        out = render(run.folder.path, Path(folder) / "walk.mp4", size=_VIDEO_PIXELS, steps=steps, seed=seed)
-        return f"data:video/mp4;base64,{base64.b64encode(out.read_bytes()).decode()}"
 
 
 def _timing(runs: Sequence[RunData]) -> str:

@@ -43,19 +43,6 @@ class TargetOptions(FallOptions):
     evaluation_target: Coordinates | None = None
     """Target of evaluation, like `target`; none is the task's own."""
 
-    @property
-    def has_random_target(self) -> bool:
-        """Whether training's target is drawn for each episode."""
-        return False
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlockOptions(TargetOptions):
-    """Options of a task with a target and a block."""
-
-    observe_block: bool | None = None
-    """Whether the block is observed; none is as in the specification (shes: yes, hiro: no)."""
-
 
 class TargetTask(Task):
     """The robot must come within 5 m of a target. The reward is the negative distance to it.
@@ -71,6 +58,8 @@ class TargetTask(Task):
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
     """Default target: x and y, or x, y and z, in units of `scale`."""
+    draws_targets: ClassVar[bool] = False
+    """Whether training's target is drawn for each episode, unless an option fixes it."""
     target_scale: ClassVar[float] = 1.0
     """Factor on the target in observations, with specification shes."""
     description: ClassVar[TaskDescription] = TaskDescription(
@@ -133,9 +122,8 @@ class TargetTask(Task):
 
     @property
     def _observed_axes(self) -> str:
-        """The block's axes, if its position and velocity are observed."""
-        asked = getattr(self.options, "observe_block", None)
-        return self.block_axes if (self.options.spec == "shes" if asked is None else asked) else ""
+        """The block's axes, if its position and velocity are observed; specification hiro hides them."""
+        return self.block_axes if self.options.spec == "shes" else ""
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
@@ -234,11 +222,6 @@ class MazeOptions(TargetOptions):
     """Distribution of training's targets: uniform in the square [-4, 20] x [-4, 20] m, walls included, or uniform in
     its free_cells."""
 
-    @property
-    def has_random_target(self) -> bool:
-        """Whether training's target is drawn for each episode."""
-        return self.target is None
-
     def check(self) -> None:
         """Check that `target_sampling` has an effect."""
         if self.target is not None and self.target_sampling != "square":
@@ -261,6 +244,7 @@ class Maze(TargetTask):
     options: MazeOptions  # type: ignore[assignment] - narrower than in TargetTask
     grid: ClassVar[Grid] = ("#####", "#r..#", "###.#", "#...#", "#####")
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
+    draws_targets: ClassVar[bool] = True
     target_scale: ClassVar[float] = 0.01
 
     def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
@@ -279,7 +263,6 @@ class Push(TargetTask):
     """
 
     name: ClassVar[str] = "push"
-    Options = BlockOptions
     grid: ClassVar[Grid] = ("#####", "#.r##", "#.B.#", "##.##", "#####")
     block_axes: ClassVar[str] = "xy"
     own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)
@@ -292,7 +275,6 @@ class Fall(TargetTask):
     """
 
     name: ClassVar[str] = "fall"
-    Options = BlockOptions
     grid: ClassVar[Grid] = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
     ground_m = WALL_HEIGHT_M
     block_axes: ClassVar[str] = "yz"
