@@ -139,7 +139,7 @@ MISTAKES = [
         ("point-flagrun", {"max_tilt": 45.0}, "the point has no tilt to limit. Define `cos_tilt` ... omit --max-tilt"),
         ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"),
         ("point-maze", {"target": (1, 2), "target_sampling": "free_cells"},
-         "target (1.0, 2.0) fixes training's target, so target_sampling 'free_cells' ... Omit "))),
+         "target_sampling 'free_cells' has no effect with target (1.0, 2.0). Omit "))),
     *((partial(ship, RUN, **{**SHIPPED, **given}), error, message) for given, error, message in (
         ({"name": "../Ant"}, ConfigError, "small letters, digits and hyphens, e.g. ant-walker, got '../Ant'"),
         ({"description": "two\nlines"}, ConfigError, "description must be one line of text, got ... Set --description"),

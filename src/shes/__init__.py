@@ -72,7 +72,7 @@ def import_module(name: str) -> ModuleType:
             raise
         raise ConfigError(
             f"MuJoCo cannot be imported with MUJOCO_GL={asked} ({error}). Unset MUJOCO_GL to let SHES choose, or set "
-            "it to egl, osmesa or off."
+            "it to another of egl, osmesa, off."
         ) from error
 
 

@@ -93,14 +93,14 @@ def test_a_closed_pipe_keeps_the_exit_code(monkeypatch, work, code):
 def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
     monkeypatch.setattr("shes.cli.program.free_memory", lambda: 1e12)
     codes = [exit_code(fail(each)) for each in (MemoryError("9 TB"), ValueError("in C:\n9 TB: cannot allocate memory"))]
-    with pytest.raises(KeyError):  # a fault of ours has a traceback
-        exit_code(fail(KeyError()))
     monkeypatch.setattr("shes.cli.program.free_memory", lambda: 2e8)
+    with pytest.raises(KeyError):  # a fault of ours has a traceback, also where memory is short
+        exit_code(fail(KeyError()))
     assert [*codes, exit_code(fail(ImportError("9 TB")))] == [2, 2, 2]
     assert re.fullmatch(r"(Error: not enough memory \(9 TB.*\)\. Raise its limit, .*\n){3}", capsys.readouterr().err)
 
 
-def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch):
+def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch, capsys):
     ended = []
     for name, value in {"os._exit": ended.append, "shes.cli.program._END_S": 999, "sys.argv": ["shes", "none"]}.items():
         monkeypatch.setattr(name, value)
@@ -110,7 +110,7 @@ def test_a_thread_that_stays_does_not_keep_the_program(monkeypatch):
     timer.cancel()
     assert timer.daemon  # nor does it keep the program itself
     timer.function(*timer.args)
-    assert ended == [2]
+    assert (ended, "Ended, although a thread" in capsys.readouterr().err) == ([2], True)
 
 
 TRAIN = ["train", "point-gather", *runs.flags(**{**runs.TINY, "generations": 2})]

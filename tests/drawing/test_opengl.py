@@ -17,8 +17,7 @@ def works(monkeypatch):
 
     def say(*names):
         def run(command, **options):
-            name = next(name for name in ("egl", "osmesa", "glfw") if f"mujoco.{name} " in command[-1])
-            tried.append(name)
+            tried.append(name := options["env"]["MUJOCO_GL"])
             if "hangs" in names:
                 raise subprocess.TimeoutExpired(command, 1)
             return subprocess.CompletedProcess(command, 0 if name in names else -11)
@@ -57,6 +56,15 @@ def test_a_choice_that_does_not_work_is_refused(works, monkeypatch, asked):
     works("osmesa")
     monkeypatch.setenv("MUJOCO_GL", asked)
     with pytest.raises(ConfigError, match=f"asks for {asked}, which does not work here. Unset MUJOCO_GL.*libosmesa6"):
+        make_drawer.find_opengl()
+
+
+def test_a_window_system_without_a_screen_does_not_work(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    make_drawer.find_opengl.cache_clear()
+    with pytest.raises(ConfigError):
         make_drawer.find_opengl()
 
 

@@ -354,7 +354,7 @@ PLACE = " ... external_envs.py:"
             for it in ("terminated", "truncated", "is_success", "diverged")
         ),
         ("where", "cannot step: KeyError: 'where' (" + PLACE),
-        ("success", "cannot step: ValueError: The truth value of an array"),
+        ("success", "cannot step: its is_success must be True, False, 1 or 0, got array("),
     ],
 )
 def test_a_later_failure_is_one_line_with_the_name(fault, message):

@@ -107,7 +107,7 @@ def test_the_next_table_removes_a_killed_builders_file(cache):
 def test_a_table_that_does_not_fit_is_refused(cache, monkeypatch, kind, where):
     monkeypatch.setattr(noise, f"free_{kind}", lambda *_: 4 * 250_000_000)
     message = (
-        f"noise_table_size is 250,000,001, which takes 1.0 GB, but 1.0 GB {where} are free. "
+        f"noise_table_size is 250,000,001, which takes 1,000 MB, but 1,000 MB {where} are free. "
         "Set --noise-table-size 250000000 at most, or SHES_CACHE_DIR to a larger disk"
     )
     for call in (NoiseTable.open, NoiseTable.check_room):

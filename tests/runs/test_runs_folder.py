@@ -196,5 +196,5 @@ def test_runs_are_found_in_natural_order_and_one_is_named(tmp_path, tiny_run):
     assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
     with pytest.raises(RunFolderError):
         find_runs(tmp_path / "model" / "config.json")
-    with raises(RunFolderError, f"is no run folder. Below it are 3: give one, as {folder}/seed-1"):
+    with raises(RunFolderError, f"is no run folder. Give one below it (3), e.g. {folder}/seed-1"):
         RunFolder.open(tmp_path)

@@ -149,7 +149,7 @@ def _check_flags(words: Sequence[str], command: Callable[..., int]) -> None:
     given = [aliases.get(each, each) for each in (each.replace("--no-", "--") for each in given)]
     for each in given:
         if each not in repeatable and given.count(each) > 1:
-            raise ConfigError(f"{each} is given twice. Give it once; several values follow it, where it takes several.")
+            raise ConfigError(f"{each} is given twice. Give it once, followed by all its values.")
 
 
 def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:

@@ -6,6 +6,7 @@ import argparse
 import importlib
 import io
 import os
+import re
 import shutil
 import sys
 import threading
@@ -40,7 +41,7 @@ EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """Exit codes after Ctrl-C or SIGTERM, and if the reader of the output has gone."""
 _LEAST_COLUMNS = 20  # tables and help need some width
-_LEAST_MEMORY = 500e6  # with less, libraries fail in many ways, and rich cannot print it
+_LEAST_MEMORY = 500e6  # with less, libraries fail to be imported
 _END_S = 60.0  # which threads, child processes and exit handlers of a user's module have to end after the command
 
 _OVERVIEW = """\
@@ -83,10 +84,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     finally:
         if arguments is None:  # the process is this command's alone
-            ending = threading.Timer(_END_S, os._exit, (code,))
+            ending = threading.Timer(_END_S, _end, (code,))
             ending.daemon = True
             with suppress(RuntimeError):  # no memory for a thread
                 ending.start()
+
+
+def _end(code: int) -> None:
+    print(f"Ended, although a thread or exit handler has not, {_END_S:.0f} s after the command.", file=sys.stderr)
+    os._exit(code)
 
 
 def _run(words: Sequence[str]) -> int:
@@ -167,10 +173,10 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
 def _tell(error: Exception) -> None:
     """Print `error`; raise it if it is none that a person can do something about."""
     text = (str(error).strip().splitlines() or ["no more is free"])[-1]  # of a worker's traceback the last line
-    is_known = isinstance(error, OSError | ShesError)  # OSError: a full disk, a path that cannot be read, ...
-    if isinstance(error, MemoryError) or "allocate memory" in text or (not is_known and free_memory() < _LEAST_MEMORY):
+    is_small = isinstance(error, ImportError) and free_memory() < _LEAST_MEMORY  # a library that could not be mapped
+    if isinstance(error, MemoryError) or is_small or re.search("allocate memory|start new thread", text):
         print(f"Error: not enough memory ({text}). Raise its limit, or reduce the size of the run.", file=sys.stderr)
-    elif is_known:
+    elif isinstance(error, OSError | ShesError):  # OSError: a full disk, a path that cannot be read, ...
         from shes.console import LineConsole  # rich is slow to import
 
         LineConsole(stderr=True).print_error(str(error))

@@ -40,7 +40,7 @@ _ROBOT = tuple(round(255 * part) for part in ROBOT[:3])
 _OFF = ("disable", "disabled", "off", "false", "0")
 _ON = ("", "enable", "enabled", "on", "true", "1")
 # A faulty driver may kill the process, so each is tried in a subprocess.
-_PROBE = "from mujoco.{0} import GLContext; c = GLContext(8, 8); c.make_current(); c.free()"
+_PROBE = "import mujoco as m; m.Renderer(m.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()"
 
 
 class FlatRenderer(Renderer):
@@ -175,9 +175,9 @@ def find_opengl() -> str | None:
 
 def _works(name: str) -> bool:
     """Return whether a subprocess can create a context of OpenGL `name`."""
-    environment = {**os.environ, "MUJOCO_GL": "off"}
+    environment = {**os.environ, "MUJOCO_GL": name}
     environment.pop("PYOPENGL_PLATFORM", None)
-    command = [sys.executable, "-c", _PROBE.format(name)]
+    command = [sys.executable, "-c", _PROBE]
     try:
         done = subprocess.run(command, env=environment, capture_output=True, timeout=_PROBE_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired):

@@ -123,7 +123,7 @@ class ExternalTask(EpisodeBatch):
     def _record(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: Any, info: Any) -> None:
         """Store the results of a step or reset of environment `i`; a diverged episode earns and scores 0."""
         row, physics = self._reader.flat(observation), find_physics(env)
-        if not hasattr(reward, "__float__"):  # as None and text, which float() would read
+        if np.ndim(reward) or not hasattr(reward, "__float__"):  # as None and text, which float() would read
             raise ConfigError(f"its reward must be a number, got {reward!r}.")
         reward = float(reward)
         is_number = np.abs(row) <= LARGEST  # False for NaN, too
@@ -273,7 +273,7 @@ class ExternalEnvironment:
 
 def _truth(name: str, value: Any) -> bool:
     """Return a truth value that an environment reports as `name`; raise ConfigError if it is something else."""
-    if value not in (0, 1):  # as are False and True, also those of NumPy
+    if np.ndim(value) or value not in (0, 1):  # as are False and True, also those of NumPy
         raise ConfigError(f"its {name} must be True, False, 1 or 0, got {value!r}.")
     return bool(value)
 

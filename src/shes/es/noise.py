@@ -156,7 +156,7 @@ class NoiseTable:
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
                 raise ConfigError(
-                    f"noise_table_size is {size:,}, which takes {4 * size / 1e9:,.1f} GB, but {free / 1e9:,.1f} GB "
+                    f"noise_table_size is {size:,}, which takes {4 * size / 1e6:,.0f} MB, but {free / 1e6:,.0f} MB "
                     f"{where} are free. Set --noise-table-size {free // 4} at most, or SHES_CACHE_DIR to a larger disk."
                 )
 

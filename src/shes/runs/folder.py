@@ -87,7 +87,7 @@ class RunFolder:
         if folder.config.is_file():
             return folder
         if below := cls.below(path):
-            raise RunFolderError(f"{path} is no run folder. Below it are {len(below)}: give one, as {below[0].path}.")
+            raise RunFolderError(f"{path} is no run folder. Give one below it ({len(below)}), e.g. {below[0].path}.")
         what = f"is not a run folder: no config.json is in it or up to {_DEPTH} levels below"
         what = what if path.exists() else "does not exist"
         raise RunFolderError(

@@ -121,26 +121,22 @@ class TargetTask(Task):
                 raise out_of_range(f"{name} of {cls.name}", place, f"{size} coordinates in metres", flag(name))
 
     @property
-    def _observed_axes(self) -> str:
-        """The block's axes, if its position and velocity are observed; specification hiro hides them."""
-        return self.block_axes if self.options.spec == "shes" else ""
+    def _shown(self) -> tuple[str, float]:
+        """The block's axes if it is observed, and the factor on the target; specification hiro has neither."""
+        return (self.block_axes, self.target_scale) if self.options.spec == "shes" else ("", 1.0)
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
         """The robot's qpos and the block's, their qvel, time, target."""
-        axes = self._observed_axes
+        axes, factor = self._shown
         pose = elements([f"block_{axis}" for axis in axes], "{}: displacement of the block", "m")
         velocity = elements([f"block_v{axis}" for axis in axes], "{}: velocity of the block", "m/s")
-        scale = "" if self._target_scale == 1 else f", times {self._target_scale}"
+        scale = "" if factor == 1 else f", times {factor}"
         return (
             *self.robot_elements(pose, velocity),
             *TIME_ELEMENTS,
             *elements([f"target_{axis}" for axis in "xyz"[: len(self.own_target)]], f"{{}}{scale}", "m"),
         )
-
-    @property
-    def _target_scale(self) -> float:
-        return self.target_scale if self.options.spec == "shes" else 1.0
 
     @property
     def distance(self) -> F64Array:
@@ -207,10 +203,10 @@ class TargetTask(Task):
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
-        out = self._observation
-        end = self.write_robot(out, len(self._observed_axes))
+        out, (axes, factor) = self._observation, self._shown
+        end = self.write_robot(out, len(axes))
         np.multiply(self.time, TIME_SCALE, out=out[:, end])
-        np.multiply(self.target, self._target_scale * self.scale, out=out[:, end + 1 :])
+        np.multiply(self.target, factor * self.scale, out=out[:, end + 1 :])
         return out
 
 
@@ -226,8 +222,7 @@ class MazeOptions(TargetOptions):
         """Check that `target_sampling` has an effect."""
         if self.target is not None and self.target_sampling != "square":
             raise ConfigError(
-                f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} has no "
-                "effect. Omit --target-sampling, or set --target none."
+                f"target_sampling {self.target_sampling!r} has no effect with target {self.target}. Omit one of them."
             )
 
 
