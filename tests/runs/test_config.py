@@ -4,6 +4,7 @@ import copy
 import json
 import pickle
 from dataclasses import make_dataclass
+from pathlib import Path
 from typing import Annotated
 
 import gymnasium
@@ -317,6 +318,8 @@ IDLE = [
     ("point-gather", {"target": 3}, NO_SETTING % ("point-gather", "shes"), None),
     *(("point-gather", each, NO_BUFFERS, {"device": "cuda"}) for each in (
         {"nconmax": 9}, {"njmax": 9}, {"deterministic": True})),
+    ("flagrun", {"integrator": "rk4", "robot": str(Path(__file__).parents[2] / "examples/hexapod.xml")},
+     "{name} has no effect on flagrun, ... got 'rk4'. Omit --integrator, and set it in the <option>", None),
     ("point-gather", {"backend": "processes", "device": "cuda"}, ONE_PROCESS + "backend", {"backend": "serial"}),
     *(("point-gather", {"num_workers": 4, "device": "cuda"}, ONE_PROCESS + "workers, or set --device cpu", helps)
       for helps in ({"num_workers": 1}, {"num_workers": 0})),

@@ -129,12 +129,12 @@ def check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} is {asked[name]!r}, but one process serves device {config.workers.device}. "
                 f"Omit {settings[name].flag}, or set --device cpu."
             )
-    for name in asked:
-        setting = settings[name]
-        if name in setting_fields(TaskOptions) and has_own_physics:
+    for name, setting in ((name, settings[name]) for name in asked):
+        is_of_file = name == "integrator" and config.run.env in ROBOT_ENVIRONMENTS
+        if is_of_file or (name in setting_fields(TaskOptions) and has_own_physics):
             raise ConfigError(
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
-                f"Omit {setting.flag}."
+                f"Omit {setting.flag}{', and set it in the <option> of the robot' * is_of_file}."
             )
         needed = [(need, config.values[need.other]) for need in setting.all_of(Needs) if asked[name] != setting.default]
         if not needed or any(value in need.values if need.values else value is not None for need, value in needed):
