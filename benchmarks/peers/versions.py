@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from run import write_csv
@@ -15,6 +16,9 @@ PACKAGES = ("shes", "torch", "stable-baselines3", "evotorch", "ray", "gymnasium"
 def write_versions(path: Path) -> None:
     """Write the versions of the packages, and the machine, to a CSV file."""
     found = provenance("cpu")
-    versions = {name: version(name) for name in PACKAGES}
+    versions = dict[str, str]()
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):  # of a learner that did not run
+            versions[name] = version(name)
     rows = {"commit of shes": found["git_commit"], **versions, **found["machine"]}
     write_csv(path, [{"name": name, "value": value} for name, value in rows.items()])
