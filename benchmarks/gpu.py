@@ -197,8 +197,8 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
 def generations(device: str, size: Size, out: Path) -> None:
     """Measure whole generations and their parts; a tiny one shows the cost of the kernel launches alone."""
     table = Table(out / "generations.csv")
-    sizes = [("launches alone", 1, 1, False), ("generation", size.population, 5, False)]
-    sizes.append(("generation", size.population, 5, True))
+    whole = "generation", size.population, 5
+    sizes = [("launches alone", 1, 1, False), (*whole, False), (*whole, True)]
     kinds = itertools.product(("ant-gather",), size.integrators, sizes)
     for env, integrator, (what, population, episodes, is_deterministic) in kinds:
         settings = {

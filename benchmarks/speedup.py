@@ -1,7 +1,8 @@
 """Speed-up of a generation by more cores: measured here, projected to a cluster. Source: SHES paper, Figure 6.
 
 `python benchmarks/speedup.py --workers 2 --out speedup.csv`, on an idle machine: SHES and S-ES on Ant Gather at the
-paper's size, 40 minutes on two cores; `--policies 200` takes a fifth of it. What the projection to n cores assumes:
+paper's size, 40 minutes on two cores; `--policies 200` takes a fifth of it. Every row is written
+at once. What the projection to n cores assumes:
 
 - Episodes are those of the measured generation. Every worker runs an equal share of them, at once if the caches allow.
 - A core of the cluster runs a share as fast as a core here does alone: neighbours cost it no memory bandwidth.
@@ -20,7 +21,6 @@ projection is.
 from __future__ import annotations
 
 import argparse
-import csv
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -47,6 +47,7 @@ from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config
+from shes.runs.tables import csv_text
 
 CORES = (24, 48, 96, 120, 240, 360, 480, 600, 1000)
 """Numbers of cores of a projection; the paper's are 48, 240 and 600."""
@@ -73,26 +74,26 @@ class Measurement:
 
 def measure_speedup(
     config: TrainConfig, workers: Sequence[int] = (1, 2), cores: Sequence[int] = CORES, samples: int = SAMPLES
-) -> list[Row]:
-    """Return times of a generation of `config` measured on numbers of `workers`, projected ones, and speed-ups."""
+) -> Iterator[Row]:
+    """Yield times of a generation of `config` measured on numbers of `workers`, projected ones, and speed-ups."""
     if config.workers.device != "cpu":
         raise ConfigError(f"speedup.py measures the CPU, got device {config.workers.device!r}. Omit --device.")
     algorithm, here = evolution_strategy(config), core_numbers()[: max(workers)]
     alone = [measure(config, algorithm, 1, core) for core in sorted({here[0], here[-1]})]
-    several = {n: measure(config, algorithm, n) for n in sorted({*workers} - {1})}
     mean_rollout_s, mean_update_s = (harmonic_mean(each) for each in zip(*(one.seconds for one in alone), strict=True))
     mean_s = mean_rollout_s + mean_update_s
-    rows = [row("alone", 1, *one.seconds, mean_s) for one in alone]
-    rows.append(row("measured", 1, mean_rollout_s, mean_update_s, mean_s))
-    rows += [row("measured", n, *each.seconds, mean_s) for n, each in several.items()]
-    last = several.get(max(workers), alone[0])
+    yield from (row("alone", 1, *one.seconds, mean_s) for one in alone)
+    yield row("measured", 1, mean_rollout_s, mean_update_s, mean_s)
+    last, several = alone[0], sorted({*workers} - {1})
+    for n in several:
+        last = measure(config, algorithm, n)
+        yield row("measured", n, *last.seconds, mean_s)
     update_s, base_s = last.report.update_s, sum(alone[0].seconds)
     with on_one_core(core_numbers()[0]), SerialBackend(partial(RolloutWorker, algorithm.plan())) as worker:
         for n in (*several, *cores):
             stages = last.report.populations
             spent = draw_s(algorithm) + sum(rollout_s(worker, work, n, last.message_s, samples) for work in stages)
-            rows.append(row("projected", n, spent, update_s, base_s))
-    return rows
+            yield row("projected", n, spent, update_s, base_s)
 
 
 def row(kind: str, cores: int, rollout_s: float, update_s: float, one_core_s: float) -> Row:
@@ -196,16 +197,13 @@ def main() -> None:
         own: dict[str, Any] = {"algorithm": algorithm, "integrator": asked.integrator}
         if asked.policies:
             own["population_size"] = asked.policies
-        found = measure_speedup(make_config(asked.env, asked.preset, own), asked.workers, asked.cores)
-        rows += [{"env": asked.env, "algorithm": algorithm, **each} for each in found]
-        for each in found:
+        config = make_config(asked.env, asked.preset, own)
+        for each in measure_speedup(config, asked.workers, asked.cores):
             words = f"{algorithm}, {each['cores']} cores {each['kind']}"
             print(f"{words:30} {each['generation_s']:9.2f} s, speed-up {each['speedup']:6.1f}", flush=True)
-    if asked.out:
-        with asked.out.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            rows.append({"env": asked.env, "algorithm": algorithm, **each})
+            if asked.out:
+                asked.out.write_text(csv_text([list(rows[0]), *(list(each.values()) for each in rows)]))
 
 
 if __name__ == "__main__":

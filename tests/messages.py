@@ -1,4 +1,4 @@
-"""What a person reads after a mistake: an error of one class, whose message has the pieces that help."""
+"""Checks of error messages: the class of the error, and the pieces that its message must contain."""
 
 from contextlib import contextmanager
 

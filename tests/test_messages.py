@@ -1,4 +1,4 @@
-"""What a person gets wrong in one call, and what the message says: the value, what is allowed and the fix.
+"""Mistakes in a single call. The message of each names the value, what is allowed and the fix.
 
 Settings are in runs/test_config.py, command lines in e2e/test_bad_input.py; what needs more than a run is in its room.
 """
@@ -150,7 +150,7 @@ MISTAKES = [
     (lambda: bench_rollout(smoke({"algorithm": "td3"})), ConfigError, "strategies, got td3. Set --algorithm shes"),
     (lambda: bench_rollout(smoke({"population_size": 10**12})), ConfigError, "GB of memory, but ... --population-size"),
     (lambda: bench_rollout(make_config("gymnasium:Swimmer-v5", "smoke")), ConfigError, "alone, but gymnasium:Swi"),
-    (lambda: speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1]), ConfigError, "got device 'warp-cpu'. Omit"),
+    (lambda: next(speedup.measure_speedup(smoke({"device": "warp-cpu"}), [1])), ConfigError, "device 'warp-cpu'. Omit"),
     # Parts.
     *((partial(MLP, 3, hidden, 2), ConfigError, f"hidden must be whole numbers of at least 1 ... got {hidden}. Set -")
       for hidden in ((0,), (64, -1))),

@@ -48,7 +48,7 @@ BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"
 def test_speed_ups_are_measured_and_projected(algorithm, settings, workers):
     where = {"backend": "serial" if workers == [1] else "processes"}
     config = make_config("point-gather", "smoke", {**TINY, **settings, **where, "algorithm": algorithm})
-    rows = speedup.measure_speedup(config, workers, cores=(4, 16), samples=2)
+    rows = list(speedup.measure_speedup(config, workers, cores=(4, 16), samples=2))
     assert [(row["kind"], row["cores"]) for row in rows] == [
         *[("alone", 1)] * len(core_numbers()[: max(workers)]),
         *[("measured", n) for n in workers],
@@ -58,3 +58,17 @@ def test_speed_ups_are_measured_and_projected(algorithm, settings, workers):
         assert row["generation_s"] == row["rollout_s"] + row["update_s"]
         assert row["speedup"] == pytest.approx(row["efficiency"] * row["cores"])
         assert all(math.isfinite(row[name]) and row[name] > 0 for name in list(row)[2:])
+
+
+def test_the_command_line_chooses_what_is_measured(monkeypatch, tmp_path):
+    asked = []
+    row = {"kind": "measured", "cores": 1, "generation_s": 2.0, "speedup": 1.0}
+    monkeypatch.setattr(speedup, "measure_speedup", lambda *given: asked.append(given) or [row])
+    words = "--env point-gather --policies 8 --algorithms es --workers 1 3 --cores 4 --integrator rk4"
+    monkeypatch.setattr("sys.argv", ["speedup.py", *words.split(), "--out", str(tmp_path / "a.csv")])
+    speedup.main()
+    ((config, workers, cores),) = asked
+    values = config.values
+    assert (values["algorithm"], values["population_size"], values["integrator"]) == ("es", 8, "rk4")
+    assert (workers, cores) == ([1, 3], [4])
+    assert (tmp_path / "a.csv").read_text().splitlines()[1].startswith("point-gather,es,measured,1,2")

@@ -41,7 +41,6 @@ EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """Exit codes after Ctrl-C or SIGTERM, and if the reader of the output has gone."""
 _LEAST_COLUMNS = 20  # tables and help need some width
-_LEAST_MEMORY = 500e6  # with less, libraries fail to be imported
 _END_S = 60.0  # which threads, child processes and exit handlers of a user's module have to end after the command
 
 _OVERVIEW = """\
@@ -91,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _end(code: int) -> None:
-    print(f"Ended, although a thread or exit handler has not, {_END_S:.0f} s after the command.", file=sys.stderr)
+    with suppress(OSError, ValueError):  # a closed stream
+        print(f"Ended, although a thread or exit handler has not, {_END_S:.0f} s after the command.", file=sys.stderr)
     os._exit(code)
 
 
@@ -173,7 +173,7 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
 def _tell(error: Exception) -> None:
     """Print `error`; raise it if it is none that a person can do something about."""
     text = (str(error).strip().splitlines() or ["no more is free"])[-1]  # of a worker's traceback the last line
-    is_small = isinstance(error, ImportError) and free_memory() < _LEAST_MEMORY  # a library that could not be mapped
+    is_small = isinstance(error, ImportError) and free_memory() < 500e6  # a library that could not be mapped
     if isinstance(error, MemoryError) or is_small or re.search("allocate memory|start new thread", text):
         print(f"Error: not enough memory ({text}). Raise its limit, or reduce the size of the run.", file=sys.stderr)
     elif isinstance(error, OSError | ShesError):  # OSError: a full disk, a path that cannot be read, ...

@@ -89,9 +89,9 @@ class RunFolder:
         if below := cls.below(path):
             raise RunFolderError(f"{path} is no run folder. Give one below it ({len(below)}), e.g. {below[0].path}.")
         what = f"is not a run folder: no config.json is in it or up to {_DEPTH} levels below"
-        what = what if path.exists() else "does not exist"
         raise RunFolderError(
-            f"{path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
+            f"{path} {what if path.exists() else 'does not exist'}. "
+            f"Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
         )
 
     @classmethod
@@ -100,8 +100,7 @@ class RunFolder:
         found = list[RunFolder]()
         for place, folders, files in os.walk(path):
             found += [cls(Path(place))] if "config.json" in files else []
-            if len(Path(place).parts) - len(path.parts) == _DEPTH:
-                folders.clear()
+            folders[:] = folders if len(Path(place).parts) - len(path.parts) < _DEPTH else []
         known = [each for each in found if each.checkpoints.is_dir() or each.progress.is_file()]
         return sorted(known, key=lambda folder: _natural(folder.path))
 

@@ -129,7 +129,8 @@ def check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 f"{name} is {asked[name]!r}, but one process serves device {config.workers.device}. "
                 f"Omit {settings[name].flag}, or set --device cpu."
             )
-    for name, setting in ((name, settings[name]) for name in asked):
+    for name in asked:
+        setting = settings[name]
         is_of_file = name == "integrator" and config.run.env in ROBOT_ENVIRONMENTS
         if is_of_file or (name in setting_fields(TaskOptions) and has_own_physics):
             raise ConfigError(
