@@ -46,7 +46,7 @@ def forest(results: PlacedResults, group: str) -> Figure | None:
         env: [place for place in results.places if place[0] == env and (place[1:] == base or place[1] == group)]
         for env in results.experiment.metrics
     }
-    panels = {env: sorted(places, key=lambda place: place[1:] != base) for env, places in panels.items() if places}
+    panels = {env: sorted(places, key=lambda place: place[1:] != base) for env, places in panels.items() if places[1:]}
     heights = [len(places) for places in panels.values()]
     size = (WIDTH, sum(1.0 + 0.36 * height for height in heights))
     figure, axes = plt.subplots(

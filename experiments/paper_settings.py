@@ -49,6 +49,8 @@ _FORMS: dict[tuple[str, str], dict[str, Any]] = {
 }
 """Settings over the preset, by body and form: as published over preset `paper`, with the changes over `laptop`, which
 has them for the ant."""
+_NO_SEARCH = {"explore": "none", "symmetry": "none", "controller_view": "observation", "controller_output": "vector"}
+"""Settings of the point's Maze and Push without what preset `laptop` has there besides."""
 _POINT_ALONE = {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03}
 """With the changes, for the point's primitive that is trained alone."""
 _PIECES = (
@@ -123,6 +125,8 @@ class Scale:
             return {**self.form(body, task, PUBLISHED), **{name: changed[name] for name in names}}
         is_alone = (body, task, form) == ("point", "flagrun", PIECES)
         settings = dict(_POINT_ALONE if is_alone else _FORMS[body, form])
+        if (body, form) == ("point", PIECES) and task in ("maze", "push"):
+            settings |= _NO_SEARCH
         if self.preset == "paper" and form == PUBLISHED:
             settings = {}
         elif self.preset != "laptop" and (body, form) == ("ant", PIECES):

@@ -87,7 +87,7 @@ MISTAKES = [
     (lambda: shes.resume(RUN, generations=8, sigma=1.0), ConfigError, "--sigma would change"),
     (lambda: shes.resume(RUN, generations=8, sigm=1.0), ConfigError, "unknown setting 'sigm'. resume takes"),
     (lambda: shes.resume("ant-walker"), RunFolderError, "is a shipped agent ... --primitive ant-walker. Or copy /"),
-    (lambda: shes.evaluate("ant-walker", checkpoint="last"), CheckpointError, "has only ... best, got 'last'. Omit --"),
+    (lambda: shes.evaluate("ant-walker", checkpoint="last"), CheckpointError, "has only ... best, got 'last'. Omit"),
     (lambda: shes.evaluate("ant-walker", controller="random"), ConfigError,
      "controller is 'random', but ... has no controller (levels: primitive), so ... 'trained' is allowed. Omit"),
     (lambda: TrainConfig.of(env="point-gather", algorithm="es").hierarchy, AttributeError, "'hierarchy' here; it has"),
@@ -131,15 +131,12 @@ MISTAKES = [
           ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
           ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
           ({"render_mode": "ansi"}, UnknownNameError, "unknown render_mode 'ansi'"))),
-    *((partial(make_task, name, 1, **{option: wrong}), ConfigError,
-       f"{option} of {name[6:]} must be ... coordinates in metres, got ( ... ). Set --")
-      for name, wrong in (("point-maze", (1, 2, 3)), ("point-push", (1.0,)), ("point-fall", (1, 2)))
-      for option in ("target", "evaluation_target")),
+    *((partial(make_task, name, 1, target=wrong), ConfigError,
+       f"target of {name[6:]} must be ... coordinates in metres, got ( ... ). Set --target")
+      for name, wrong in (("point-maze", (1, 2, 3)), ("point-push", (1.0,)), ("point-fall", (1, 2)))),
     *((partial(make_task, name, 1, **options), ConfigError, message) for name, options, message in (
         ("point-flagrun", {"max_tilt": 45.0}, "the point has no tilt to limit. Define `cos_tilt` ... omit --max-tilt"),
-        ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"),
-        ("point-maze", {"target": (1, 2), "target_sampling": "free_cells"},
-         "target_sampling 'free_cells' has no effect with target (1.0, 2.0). Omit "))),
+        ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, "the point has no tilt to limit"))),
     *((partial(ship, RUN, **{**SHIPPED, **given}), error, message) for given, error, message in (
         ({"name": "../Ant"}, ConfigError, "small letters, digits and hyphens, e.g. ant-walker, got '../Ant'"),
         ({"description": "two\nlines"}, ConfigError, "description must be one line of text, got ... Set --description"),

@@ -41,8 +41,8 @@ class EveryKind(Settings):
 NOT_NUMBERS = ["1", True, None, float("nan"), float("inf"), [1], 1j]
 WRONG = {
     "span": ("2 numbers", [(1.0,), (0.0, 1.0, 2.0), (), ("a", "b"), 1.0]),
-    "whole": ("a whole number of at least 2", [1, 2.0, -(10**400), *NOT_NUMBERS]),
-    "seed": ("a whole number of at least 0 and less than 9000", [-1, 9000, 1.0]),
+    "whole": ("a whole number of at least 2", [1, 2.5, -(10**400), *NOT_NUMBERS]),
+    "seed": ("a whole number of at least 0 and less than 9000", [-1, 9000, 1.5]),
     "positive": ("a number greater than 0", [0, -0.1, *NOT_NUMBERS]),
     "zero": ("a number of at least 0", [-0.1, *NOT_NUMBERS]),
     "share": ("a number of at least 0 and at most 1", [-0.1, 1.1, *NOT_NUMBERS]),
@@ -95,7 +95,7 @@ def test_an_unknown_name_is_refused_until_it_is_added(monkeypatch):
 
 def test_values_of_numpy_become_those_of_python():
     given = {
-        "whole": np.int32(7), "positive": np.float32(0.5), "switch": np.False_, "layers": [np.int64(4)],
+        "whole": 7.0, "positive": np.float32(0.5), "switch": np.False_, "layers": [np.int64(4)],
         "place": np.array([8.0, 3.5]), "word": np.str_("two"),
     }  # fmt: skip
     made = EveryKind(**given)

@@ -21,7 +21,7 @@ def test_the_streams_of_a_run_never_change():
     assert {purpose.name.lower(): purpose.value for purpose in Purpose} == {
         "initial_parameters": 0, "noise_index": 1, "training_episodes": 2, "evaluation_episodes": 3,
         "statistics_sample": 4, "fresh_episodes": 5, "snapshots": 7, "branches": 8, "exploration": 9, "replay": 10,
-        "archive": 11,
+        "archive": 11, "starts": 12,
     }  # fmt: skip
     assert [purpose.name for purpose in EpisodePurpose] == ["RESET", "EXPLORATION_NOISE", "RANDOM_GOALS", "WANDERING"]
     assert stream(7, Purpose.BRANCHES, 3, 1).integers(10**6, size=3).tolist() == [208427, 417556, 366066]

@@ -177,6 +177,8 @@ class Setting:
         if known := next(self.all_of(Choices), None):
             return self._checked_name(plain, known)
         if self.kind is not tuple:
+            if self.item is int and isinstance(plain, float) and plain.is_integer() and abs(plain) < 2**63:
+                plain = int(plain)
             if not self._is_item(plain):
                 raise out_of_range(self.name, plain, self.allowed, self.flag)
             return float(plain) if self.item is float else plain

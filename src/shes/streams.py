@@ -26,6 +26,7 @@ class Purpose(IntEnum):
     EXPLORATION = 9
     REPLAY = 10
     ARCHIVE = 11
+    STARTS = 12
 
 
 class EpisodePurpose(IntEnum):

@@ -85,7 +85,7 @@ def test_a_wrong_command_line_is_refused_with_its_fix(line, refused, tmp_path):
 
 # Run folders: `copy` is of a finished run, and `file` is a file.
 
-THERE = "best, generation_000000, generation_000002, generation_000004, last. Choose one with --checkpoint"
+THERE = "best, generation_000000, generation_000002, generation_000004, last. Choose another; to resume from one"
 IN_FOLDERS = {
     "train point-gather --preset smoke --out copy": "copy already holds a run. ... `shes resume ... --out",
     "train point-gather --preset smoke --out file": "file is a file, not a folder. Choose another path with --out",

@@ -15,7 +15,7 @@ METHOD = {"generations": 3, "evaluation_interval": 1, "keep_checkpoints": 1, "po
 SCHEDULES = {"learning_rate_end": 0.001, "sigma_end": 0.3, "schedule_generations": 2}
 
 
-NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
+NO_CHOICES = {"backend", "device", "preset"}
 """Names that say how, where and from what: backends are what is compared here, devices elsewhere."""
 SOURCE = "the run of the fixture `source`"
 EGOCENTRIC = {"primitive_view": "egocentric"}

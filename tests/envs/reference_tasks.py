@@ -13,8 +13,6 @@ import math
 import mujoco
 import numpy as np
 
-from tests.envs.reference_worlds import is_in_wall
-
 DIVERGENCE_WARNINGS = [getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}") for name in ("QPOS", "QVEL", "QACC", "CTRL")]
 
 
@@ -135,15 +133,13 @@ class ReferenceNavigation(ReferenceEpisode):
 
 
 class ReferenceMaze(ReferenceNavigation):
-    """Maze. A reset draws the target, with `free_cells` again until it lies in no wall."""
+    """Maze. A reset draws the target."""
 
-    target, target_scale, is_fixed, free_cells = (0.0, 16.0), 0.01, False, False
+    target, target_scale, is_fixed = (0.0, 16.0), 0.01, False
 
     def start_task(self):
         if not self.is_fixed:
             self.target = self.rng.uniform(-4, 20, 2)
-            while self.free_cells and is_in_wall("maze", *self.target):
-                self.target = self.rng.uniform(-4, 20, 2)
 
 
 class ReferencePush(ReferenceNavigation):

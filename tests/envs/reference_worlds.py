@@ -111,8 +111,3 @@ def world_xml(task, body, spec="shes"):
 def world(*names):
     """Return the model of `world_xml` with these arguments."""
     return mujoco.MjModel.from_xml_string(world_xml(*names))
-
-
-def is_in_wall(task, x, y):
-    """Return whether (x, y) lies in a wall; used to redraw targets (`free_cells`)."""
-    return any(abs(x - cx) < half_x and abs(y - cy) < half_y for cx, cy, half_x, half_y in WALLS[task])

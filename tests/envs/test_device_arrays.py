@@ -83,6 +83,11 @@ def test_a_task_on_a_device_gives_the_same_without_waiting(variant):
     assert pair[0].diverged[1]
     reset(pair, [1, 4], [10, 2**70])
     play(pair, STEPS // 4, ids=(0, 1, 4))
+    state = pair[0].states(np.array([3]))[0]
+    for task in pair:
+        task.set_way(np.arange(6.0).reshape(-1, len(getattr(task, "own_target", "xy"))))
+        task.reset(np.array([1, 4]), [3, 4], [None, state])  # the second begins on the way
+    play(pair, 2, ids=(1, 4))
     expected, found = (repr([task.pose(3).tolist(), task.markers(3)]) for task in pair)
     assert found == expected
 

@@ -13,8 +13,7 @@ from tests.envs.episodes import make_task
 assert shes
 
 
-OUTSIDE = {"controller_interval": 0, "goal_distance": 0.99, "target": (0, -1000.1), "target_sampling": "squre",
-           "reset_noise": 1.0}  # fmt: skip
+OUTSIDE = {"controller_interval": 0, "goal_distance": 0.99, "target": (0, -1000.1), "reset_noise": 1.0}
 
 
 @pytest.mark.parametrize(("option", "wrong"), OUTSIDE.items())
@@ -27,7 +26,7 @@ def test_a_value_out_of_range_is_refused_by_the_task(option, wrong):
 
 
 def test_gymnasium_takes_the_options_of_the_task():
-    env = gymnasium.make("shes/PointMaze-v0", target=np.array([8, 3.5]), evaluation_target=[1, 2], evaluation=True)
+    env = gymnasium.make("shes/PointMaze-v0", target=np.array([1, 2]), evaluation=True)
     env.reset(seed=0)
     np.testing.assert_array_equal(env.unwrapped.task.target, [[1.0, 2.0]])
 
@@ -64,6 +63,12 @@ def test_the_reward_is_the_progress_along_the_way():
     start([3, 4], 14, 14)
     assert left_at((13.5, 2.1), (-1, 5)) == pytest.approx([np.hypot(7.5, 1.9) + 4, np.hypot(7, 5) + 8])
     assert left_at((2, 6.1), (1, 1.9)) == pytest.approx([np.hypot(4, 1.9), np.hypot(5, 1.9) + 8])
+    # One that begins on the way begins at its nearest point.
+    task.set_way(np.array([[0.0, 90.0], [0.0, 80.0], [6.0, 4.0]]))
+    task.reset(both, [5, 6], [None, task.states(both)[1]])
+    assert rewards((0, 0), (6, 5)).tolist() == [0, 0]
+    left[:] = np.hypot(6, 4) + 4, 3
+    assert left_at((0, 0), (6, 6)) == pytest.approx([np.hypot(6, 4) + 4, 2])
 
 
 TILTS = np.deg2rad([0, 44, 46, 180, -46])

@@ -18,7 +18,7 @@ from tests.e2e import runs
 from tests.rollout.made_up import outcomes
 
 SEARCH = {
-    "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),
+    "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4,
     "target": (5.5, 0.0), "explore_horizon": 60,
 }  # fmt: skip
 WALKERS = way_search.WALKERS
@@ -89,6 +89,9 @@ def test_a_search_finds_a_way_shortens_it_and_ends():
     assert archive.way[0].tolist() == [0, 0]
     assert np.hypot(*(archive.way[-1] - (7, 0))) < 2
     assert np.linalg.norm(np.diff(archive.way, axis=0), axis=1) == pytest.approx(1)  # a step of a walker each
+    places, inner = archive.starts[:, :2].round(9).tolist(), archive.way[1:-1].round(9).tolist()
+    assert len(places) > 1
+    assert all(place in inner for place in places)
     known = [state.archive.way_steps for state in found if state.archive.way_steps]
     assert known == sorted(known, reverse=True)
     assert 60 <= known[-1] <= 90  # the shortest has six decisions
@@ -166,6 +169,26 @@ def test_goals_wander_until_a_way_is_known(estimate):
     assert seeds == [16 if estimate == "interval" else 16 // group, 16 // group]
 
 
+def test_half_of_the_groups_begin_on_the_way():
+    algorithm = built(population_size=160, explore="archive_starts")
+    state = algorithm.start(3)
+    known = replace(state.archive, way=np.zeros((5, 2)), way_steps=40, starts=np.arange(12.0).reshape(3, 4))
+    found = []
+    for archive, generation in ((state.archive, 1), (known, 1), (known, 2)):
+        now = replace(state, archive=archive, generation=generation)
+        draws, groups = draw_episodes(now, algorithm.hyperparameters, algorithm.table.size), {}
+        for task in draws.tasks:
+            groups.setdefault(task.noise_index, []).append(task.start)
+        assert all(start is starts[0] for starts in groups.values() for start in starts)
+        found.append([None if starts[0] is None else starts[0].state.tolist() for starts in groups.values()])
+        assert {task.start.steps for task in draws.tasks if task.start} <= {0}
+    before, first, second = found
+    assert set(before) == {None}
+    assert 10 <= first.count(None) <= 30  # of 40
+    assert [own for own in known.starts.tolist() if own not in first] == []
+    assert first != second
+
+
 def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path):
     """The way leads the reward of training alone, and the steps of the search are steps of the run."""
     settings = {**SEARCH, "primitive_estimate": "interval"}
@@ -182,6 +205,7 @@ def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path):
     algorithm = built("point-push", primitive_estimate="interval")
     shipped = algorithm.without_training(state)  # it has the map alone
     assert (len(shipped.archive.states), len(state.archive.states)) == (0, rows["cells"][1])
+    assert (len(shipped.archive.starts), len(state.archive.starts) > 0) == (0, True)
     assert len(algorithm.explored(shipped).places) > 1
     assert algorithm.explored(shipped).way.tolist() == state.archive.way[:, :2].tolist()
     assert algorithm.from_arrays(algorithm.to_arrays(shipped)).archive.is_over

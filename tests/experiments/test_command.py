@@ -15,7 +15,7 @@ from experiments.__main__ import EXPERIMENTS, main
 from tests.e2e import runs
 
 ROOT = Path(__file__).parents[2]
-SOME = ("ablation", "--scale", "smoke", "--only", "horizon", "transfer", "--workers", "2")
+SOME = ("ablation", "--scale", "smoke", "--only", "without", "transfer", "--workers", "2")
 TIMES = ("seconds", "primitive_seconds", "hours", "primitive_hours")
 
 
@@ -43,7 +43,7 @@ WRONG = {
     "fig4 --scale laptop --seeds 0": r"seeds must be a whole number between 1 and 1000, got 0\. Set --seeds\.",
     "fig3 --scale smoke --backend ray": "--backend ray is for runs that have all workers: scale paper and fig4",
     "fig3 --scale smoke --no-run": r"out has no row of fig3 in runs\.csv\. Set --out, or omit --no-run",
-    "ablation --scale smoke --only horizon --workers -1": r"workers must be a whole number of at least 0, got -1\. Set",
+    "ablation --scale smoke --only without --workers -1": r"workers must be a whole number of at least 0, got -1\. Set",
     "fig6 --no-run": r"out has no fig6\.csv with a measurement\. Omit --no-run",
 }
 
@@ -59,7 +59,7 @@ def test_words_that_make_no_sense_are_refused(line, tmp_path, capsys):
 
 def test_what_is_there_is_compared_and_drawn_without_a_run(tmp_path, capsys):
     """Of one group: the comparisons of the others take their time."""
-    kept, group = ROOT / "results" / "ablation", "horizon"
+    kept, group = ROOT / "results" / "ablation", "without"
     for name in ("runs.csv", "curves.csv"):
         header, *lines = (kept / name).read_text().splitlines(keepends=True)
         lines = [line for line in lines if line.startswith((f"{group},", "choices,base,"))]
@@ -71,8 +71,8 @@ def test_what_is_there_is_compared_and_drawn_without_a_run(tmp_path, capsys):
     expected = [row for row in table(kept / "comparison.csv") if row["group"] == group]
     for name in ("score_mean", "score_iqm_low", "p_holm"):
         assert [float(row[name] or -1) for row in rows] == pytest.approx([float(row[name] or -1) for row in expected])
-    assert {path.name for path in tmp_path.glob("*.png")} == {"horizon.png"}
-    assert "horizon 500" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.glob("*.png")} == {"without.png"}
+    assert "no search" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -113,6 +113,10 @@ def test_runs_whose_primitives_differ_by_the_seed_are_alike(transferred, tmp_pat
     train_on(primitives / "seed-1", copied / "shared", seed=3)
     train_on(primitives / "seed-2", copied / "same", seed=3)  # of one seed, but of two primitives
     assert compared(copied) == 4
+    train_on(f"{primitives / 'seed-1'}@0", copied / "earlier", seed=3)
+    with raises(ConfigError, "differ in primitive."):
+        compared(copied)
+    shutil.rmtree(copied / "earlier")
     longer = shutil.copytree(primitives / "seed-1", tmp_path / "longer")
     shes.resume(longer, generations=2)
     train_on(longer, copied / "on-longer", seed=3)

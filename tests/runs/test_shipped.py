@@ -104,7 +104,8 @@ def test_every_shipped_agent_is_small_complete_and_acts(name):
         if option in ("--out", "--primitive"):
             assert (option, given) in pairwise(record["command"])
         if option == "--primitive":
-            assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == given
+            assert record["config"]["transfer"]["primitive"] == given
+            assert record["primitive"]["run"] == given.removesuffix("@last")
     agent, config = shes.load(name), folder.read_config()
     task = build_environment(config).make(1, build_options(config, is_evaluation=True))
     task.reset(np.array([0]), [1])
@@ -125,10 +126,9 @@ def test_the_command_of_a_shipped_agent_gives_its_settings(name, monkeypatch):
     monkeypatch.setattr("shes.runs.train.train", train)
     assert cli.main(shlex.split(read_agent(name).commands[-1])[1:]) == 2
     trained = RunFolder.open(name).read_config()
-    levels = asked.keys() & trained.algorithm.transfers.keys()
-    asked |= dict.fromkeys(levels, name) | dict.fromkeys((f"{level}_checkpoint" for level in levels), "best")
+    beside = set(trained.algorithm.transfers)
+    asked |= dict.fromkeys(asked.keys() & beside, name)
     gives, had = make_config(trained.run.env, overrides=asked).numbers(), trained.numbers()
-    beside = {f"{level}{end}" for level in trained.algorithm.transfers for end in ("", "_checkpoint")}
     if trained.values["primitive"] and trained.values["freeze_primitive"]:
         beside |= {*setting_fields(type(trained.estimate))}  # how a primitive that is frozen would have learned
     assert {s: v for s, v in gives.items() if s not in beside} == {s: v for s, v in had.items() if s not in beside}

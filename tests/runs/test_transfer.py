@@ -58,7 +58,7 @@ def same(one, other):
 
 
 def test_an_unfrozen_primitive_learns_on_from_where_it_was(sources, tmp_path, tiny_run):
-    settings = {"primitive": str(sources("point")), "freeze_primitive": False, "primitive_checkpoint": "2"}
+    settings = {"primitive": f"{sources('point')}@2", "freeze_primitive": False}
     with recording() as record:
         path = runs.train_tiny(tmp_path / "run", **settings, generations=2)
     assert not any(each.generation.has_frozen_control for each in record.rolled_out)
@@ -76,7 +76,7 @@ TRANSFERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     "point": (
         "primitive", "point-gather", {"controller_interval": 5},
         {**BROUGHT, "primitive_hidden": (3, 2), "primitive_view": "proprioception", "controller_interval": 5,
-         "primitive_checkpoint": "best", "freeze_primitive": True},
+         "freeze_primitive": True},
     ),
     "walker": (  # two policies are a whole population: only the controller is mirrored
         "primitive", "ant-gather", {"population_size": 2, "controller_output": "heading_vector",
@@ -139,13 +139,15 @@ REFUSED = [
     ("controller", "controller", "point-maze", {}, MISFIT + "It was trained on point-gather: "),
     ("primitive", "flat", "point-gather", {}, "has no primitive ... levels are policy. Name a run with --primitive"),
     ("controller", "plain", "point-gather", {}, "has no controller ... levels are primitive"),
-    ("primitive", "plain", "point-gather", {"primitive_checkpoint": "77"}, "no checkpoint ... 000077.npz. There are"),
+    ("primitive", "plain@77", "point-gather", {}, "@77: there is no checkpoint ... 000077.npz. There are"),
+    ("primitive", "plain@first", "point-gather", {}, "@first does not exist"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "source", "env", "settings", "message"), REFUSED)
 def test_a_level_that_does_not_fit_is_refused(sources, tmp_path, kind, source, env, settings, message):
-    path = sources(source)
+    name, *checkpoint = source.split("@")
+    path = "@".join([str(sources(name)), *checkpoint])
     with raises(ShesError, message.replace("LEVEL", f"the {kind} of {path}")):
         runs.train_tiny(tmp_path / "run", env, **{kind: path, **settings})
     assert list(tmp_path.iterdir()) == []

@@ -14,8 +14,6 @@ import pytest
 
 import shes
 from shes.baselines.hiro import HIRO
-from shes.envs.tasks.target_task import Maze
-from shes.envs.worlds import is_free
 from shes.evolution.estimates import draw_pairs
 from shes.runs.config import known_settings
 from shes.settings import setting_fields
@@ -210,12 +208,7 @@ GROUPS: dict[str, Group] = {
         ),
     }, env="point-push", common={**SHORT, "primitive_view": "egocentric", "controller_interval": 5}),
     "maze": Group({
-        "target": Row((1.0, 2.0), lambda r: batches(lambda b: np.unique(b.target, axis=0).tolist())(r)[0], [[1, 2]]),
-        "evaluation_target": Row((2.0, 1.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [2, 1]),
-    }, env="point-maze", common=SHORT),
-    "targets": Group({
-        "target_sampling": Row("free_cells", lambda r: batches(
-            lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0], True),
+        "target": Row((1.0, 2.0), batches(lambda b: np.unique(b.target, axis=0).tolist()), [[[1, 2]]] * 2),
     }, env="point-maze", common=SHORT),
     "ant": Group({
         "symmetry": Row("rotation", design(lambda d: d.symmetry and len(d.symmetry.view_index)), [4, 4]),
@@ -247,7 +240,7 @@ def test_settings_arrive_where_they_are_used(name):
 SHOWN = {
     *("env", "preset", "generations", "env_steps", "minutes", "algorithm"),
     *("evaluation_interval", "evaluation_episodes", "keep_checkpoints"),
-    *("primitive", "primitive_checkpoint", "freeze_primitive", "controller"),
+    *("primitive", "freeze_primitive", "controller"),
     *("num_workers", "backend", "device", "nconmax", "njmax", "deterministic"),
     *("env_kwargs", "reset_options"),  # of external environments
     *("robot", "motors", "robot_keyframe"),

@@ -63,7 +63,7 @@ class Problem(EpisodeSetup):
 class LevelTransfer(ABC):
     """The transfer of a level between runs of algorithms that have this object in `Algorithm.transfers`.
 
-    A setting with the name of the level gives the other run, and `LEVEL_checkpoint` its checkpoint.
+    A setting with the name of the level gives the other run, as RUN or RUN@CHECKPOINT.
     """
 
     trained_by: ClassVar[str]

@@ -84,13 +84,6 @@ def add_square_walls(spec: mujoco.MjSpec, half_width: float, scale: float) -> No
     _add_boxes(spec, "wall", boxes + [(x, 0.0, half, half_width) for x in (-middle, middle)], 0.0, scale)
 
 
-def is_free(grid: Grid, x: float, y: float) -> bool:
-    """Return whether the point (x, y), in metres, lies in the grid and not in a wall."""
-    row, column = _robot_cell(grid)
-    i, j = round(y / CELL_SIZE_M) + row, round(x / CELL_SIZE_M) + column
-    return 0 <= i < len(grid) and 0 <= j < len(grid[i]) and grid[i][j] != "#"
-
-
 def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, float]]:
     """Return the cells of `grid` that are one of `signs` as boxes (x, y, half width, half depth) in metres.
 

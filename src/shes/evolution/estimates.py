@@ -206,9 +206,11 @@ def _episode_tasks(
         interval = settings.intervals.controller_interval
         rng, decisions = stream(state.seed, Purpose.SNAPSHOTS, state.generation), -(-settings.horizon // interval)
         snapshot_steps = (interval * rng.integers(0, decisions, seeds.size)).tolist()
+    starts = _starts_on_way(state, settings, groups)
     return [
         EpisodeTask(
             member=group * members + first,
+            start=starts[group],
             noise_index=tuple(noise_index[:, group].tolist()),
             signs=tuple(tuple(own) for own in signs[group, first : first + in_lane].tolist()),
             slots=tuple(range(in_lane * episodes)),
@@ -219,6 +221,19 @@ def _episode_tasks(
         for group in range(groups)
         for first in range(0, members, in_lane)
     ]
+
+
+def _starts_on_way(state: TrainState, settings: Hyperparameters, groups: int) -> list[Snapshot | None]:
+    """Return where the episodes of each group begin: about half at random places of the way, if that is asked for.
+
+    So all parts of it are learned at once. Source: Salimans and Chen 2018, whose starts move backwards along a way.
+    """
+    search, archive = settings.search, state.archive
+    if search is None or not search.has_starts or archive is None or not len(known := archive.starts):
+        return [None] * groups
+    rng = stream(state.seed, Purpose.STARTS, state.generation)
+    is_on_way, places = rng.random(groups) < 0.5, rng.integers(0, len(known), groups)
+    return [Snapshot(state=known[i], steps=0) if is_on_way[group] else None for group, i in enumerate(places.tolist())]
 
 
 def draw_pairs(

@@ -25,10 +25,10 @@ from shes.settings import Choices, Example, Ge, Gt, Needs, Settings, Shown
 class ExplorationSettings(Settings):
     """Exploration."""
 
-    explore: Literal["none", "archive"] = "none"
-    """Search for a path to the target: none, or an archive of places to which a simulation goes back. The progress
-    along the path found is then the reward of training."""
-    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
+    explore: Literal["none", "archive", "archive_starts"] = "none"
+    """Search for a path to the target: none, or an archive of places to which a simulation goes back. Progress along
+    the path found is then the reward of training. With archive_starts, about half of its episodes begin on the path."""
+    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive", "archive_starts"))] | None = None
     """Longest path of the search in control steps; none for the horizon."""
 
 
@@ -117,9 +117,7 @@ class PrimitiveTransferSettings(Settings):
     """Transfer of a primitive (section II-D)."""
 
     primitive: Annotated[str, Example("ant-walker"), Shown(everyday=True)] | None = None
-    """Run or shipped agent whose primitive is transferred (section II-D), with its observation statistics."""
-    primitive_checkpoint: Annotated[str, Needs("primitive")] = "best"
-    """Checkpoint of that run: best, last or the number of a generation."""
+    """Run or shipped agent whose primitive is transferred (II-D): its best checkpoint, or RUN@last, RUN@60."""
     freeze_primitive: Annotated[bool, Needs("primitive")] = True
     """Whether that primitive is frozen; otherwise it continues to learn."""
 
@@ -129,7 +127,7 @@ class TransferSettings(PrimitiveTransferSettings):
     """Transfer (section II-D)."""
 
     controller: Annotated[str, Example("runs/walk")] | None = None
-    """Run or shipped agent whose best controller is transferred, with its observation statistics. It keeps learning."""
+    """Run or shipped agent whose controller is transferred, as --primitive RUN is. It keeps learning."""
 
 
 SHES_SECTIONS: Mapping[str, type[Settings]] = {
@@ -177,18 +175,16 @@ SES_PRESETS: Mapping[str, Preset] = {
 }
 """Values of one policy without goals."""
 
-# With these an ant learns to walk, and to gather, in minutes; see docs/learning.md.
-_ANT_WALKER: dict[str, Any] = {
+_BRANCHES: dict[str, Any] = {
     "primitive_view": "egocentric",
-    "symmetry": "dihedral",
     "goal_encoding": "angle_metres",
-    "clock_frequency": 0.8,
     "primitive_estimate": "interval",
-    "fall_price": 8.0,
     "output_weights": "zero",
     "weight_decay": 0.0,
     "horizon": 500,
 }
+# With these an ant learns to walk, and to gather, in minutes; see docs/learning.md.
+_ANT_WALKER = {**_BRANCHES, "symmetry": "dihedral", "clock_frequency": 0.8, "fall_price": 8.0}
 _ANT: dict[str, Any] = {
     **_ANT_WALKER,
     "intervals": 3,
@@ -214,16 +210,32 @@ _ANT_TO_FOOD = {
     "learning_rate": 0.02,
     "generations": 120,
 }
-_ANT_TO_TARGET = {
-    **_ANT,
+_TO_TARGET: dict[str, Any] = {
     "hidden": (32,),
     "controller_view": "position",
     "controller_output": "direction",
-    "max_tilt": 60.0,
     "explore": "archive",
+}
+_ANT_TO_TARGET = {
+    **_ANT,
+    **_TO_TARGET,
+    "max_tilt": 60.0,
     "explore_horizon": 1500,  # a slow walker finds the way, and a faster one a shorter way
     "population_size": 40,
     "generations": 200,
+}
+_POINT_TO_TARGET = {
+    **_BRANCHES,
+    **_TO_TARGET,
+    "explore": "archive_starts",
+    "symmetry": "auto",
+    "intervals": 2,
+    "controller_interval": 10,
+    "population_size": 80,
+    "sigma": 0.1,
+    "learning_rate": 0.05,
+    "primitive_population_size": 400,
+    "generations": 60,
 }
 
 # For a robot from a file, with control steps of 0.02 s: a goal lasts a second. See docs/robots.md.
@@ -272,6 +284,8 @@ SHES_PRESETS: Mapping[str, Preset] = {
             "push": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING},
             "fall": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING},
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
+            "point-maze": {**_POINT_TO_TARGET, "target": (0.0, 16.0)},
+            **dict.fromkeys(("point-push", "point-fall"), _POINT_TO_TARGET),
             "robotics-point-maze": {"minimum_goal_distance": False},
         }
     ),

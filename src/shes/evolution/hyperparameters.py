@@ -41,7 +41,7 @@ def is_branched(settings: Any) -> bool:
 
 def explores(settings: Any) -> bool:
     """Return whether the run searches for a way to the target."""
-    return "exploration" in settings and settings.exploration.explore == "archive"
+    return "exploration" in settings and settings.exploration.explore != "none"
 
 
 def by_episodes(settings: Any) -> tuple[bool, ...]:
@@ -97,6 +97,7 @@ def _way_search(problem: Problem) -> WaySearch:
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
+        has_starts=settings.exploration.explore == "archive_starts",
     )
 
 
@@ -185,27 +186,23 @@ def _check_branches(settings: Any) -> None:
 def _check_exploration(settings: Any) -> None:
     """Check that a way to the target can be searched for, and found again by the reward."""
     environment: Any = find_environment(settings.run.env)
+    asked = f"explore is {settings.exploration.explore!r}, but"
     if not environment.task.has_places:
         raise ConfigError(
-            f"explore is 'archive', but {settings.run.env} has no target with a way to search for: only Maze, Push and "
-            "Fall of this package have. Set --explore none."
+            f"{asked} {settings.run.env} has no target with a way to search for: only Maze, Push and Fall of this "
+            "package have. Set --explore none."
         )
     longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
     if longest is not None and longest < interval:
         raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
-    options, own = settings.environment, environment.task.own_target
-    target, sought = options.target or own, options.evaluation_target or own
-    if environment.task.draws_targets and options.target is None:
+    if environment.task.training_square and settings.environment.target is None:
         fault, fix = "the training target is random", "--target, e.g. --target 0 16"
-    elif target != sought:
-        fault = f"it searches for a way to evaluation's target {sought}, while the training target is {target}"
-        fix = f"--target {' '.join(f'{x:g}' for x in sought)}"
     elif settings.hierarchy.primitive_view == "observation":
         fault = "the primitive sees the task's observation, which a walker does not have"
         fix = "--primitive-view egocentric or proprioception"
     else:
         return
-    raise ConfigError(f"explore is 'archive', but {fault}. Set {fix}, or --explore none.")
+    raise ConfigError(f"{asked} {fault}. Set {fix}, or --explore none.")
 
 
 def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:

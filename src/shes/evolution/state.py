@@ -45,6 +45,8 @@ class Archive:
     """Robot's position at each node [N, X] in metres."""
     way: F64Array
     """Positions [W, X] at the decisions from the reset to the first success; empty until a way is known."""
+    starts: F64Array
+    """Physics states [C, S] of cells on the way, in which episodes of training may begin; empty without a way."""
     way_steps: int = 0
     """Control steps of the way; 0 until one is known."""
     stalled: int = 0
@@ -65,6 +67,7 @@ class Archive:
             parents=zero,
             positions=position,
             way=np.zeros((0, position.shape[1])),
+            starts=np.zeros((0, state_size)),
         )
 
     @property
@@ -72,9 +75,9 @@ class Archive:
         """Whether the search is over, and the states are gone."""
         return not len(self.states)
 
-    def over(self) -> Archive:
+    def over(self, *, keeps_starts: bool = True) -> Archive:
         """Return the archive of a search that is over."""
-        return replace(self, states=self.states[:0])
+        return replace(self, states=self.states[:0], starts=self.starts if keeps_starts else self.starts[:0])
 
     @property
     def has_begun(self) -> bool:
@@ -117,7 +120,8 @@ class Archive:
         way = [int(nodes[shortest])]
         while way[-1]:
             way.append(int(self.parents[way[-1]]))
-        return replace(grown, way=self.positions[way[::-1]], way_steps=int(steps[shortest]), stalled=-1)
+        starts = grown.states[np.isin(grown.nodes, way[1:-1])]  # success and reset are left out
+        return replace(grown, way=self.positions[way[::-1]], way_steps=int(steps[shortest]), starts=starts, stalled=-1)
 
     def after_slice(self) -> Archive:
         """Return the archive after a slice of the search: without nodes that lead nowhere, or without states.

@@ -96,7 +96,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             replace(level, optimizer=rule.optimizer.start(len(level.theta)))
             for level, rule in zip(state.levels, self.hyperparameters.updates, strict=True)
         )
-        archive = None if state.archive is None else state.archive.over()
+        archive = None if state.archive is None else state.archive.over(keeps_starts=False)
         return replace(state, levels=levels, running=None, archive=archive)
 
     @property

@@ -51,6 +51,8 @@ class WaySearch:
     """Distance of the primitive's goals in metres."""
     slices: int = 1
     """Most slices in a generation until a way is known; later it is one."""
+    has_starts: bool = False
+    """Whether half of the groups of whole episodes begin on the way."""
 
     @property
     def decisions(self) -> int:

@@ -80,8 +80,7 @@ def load_checkpoint(path: Path, *, with_state: bool = True) -> Checkpoint:
         others = sorted(other.stem for other in path.parent.glob("*.npz") if other.is_file())
         there = f" There are: {', '.join(others)}." if others else ""
         raise CheckpointError(
-            f"there is no checkpoint {path}.{there} Choose one with --checkpoint; "
-            "to resume from it, copy it to last.npz."
+            f"there is no checkpoint {path}.{there} Choose another; to resume from one, copy it to last.npz."
         )
     with _damage_named(path):
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:

@@ -216,6 +216,6 @@ def _traced(config: TrainConfig, record: Mapping[str, Any]) -> dict[str, Any]:
             continue
         lengths = {"generations": theirs.run.generations, "env_steps": theirs.run.env_steps}
         of_level = {**_traced(theirs, record[level]), **lengths}
-        found[level] = f"of {of_level.pop('env')}"
+        found[level] = f"of {of_level.pop('env')}, checkpoint {record[level].get('checkpoint', 'best')}"
         found |= {f"{level}'s {name}": value for name, value in of_level.items()}
     return found

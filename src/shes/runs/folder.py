@@ -201,7 +201,7 @@ class RunFolder:
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
             raise CheckpointError(
-                f"the shipped agent {agent} has only the checkpoint best, got {name!r}. Omit --checkpoint."
+                f"the shipped agent {agent} has only the checkpoint best, got {name!r}. Omit the checkpoint."
             )
         checkpoint, config = load_checkpoint(path, with_state=with_state), self.read_config()
         mine, settings = config.numbers(), config.settings

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from shes.algorithms.contract import PRESETS, Algorithm, LevelTransfer, Preset
@@ -18,7 +19,7 @@ from shes.envs.external_task import ExternalEnvironment
 from shes.envs.gymnasium_ids import BUILTIN_ENVIRONMENTS
 from shes.envs.named_environments import ROBOT_ENVIRONMENTS, Environment, find_environment, with_robot
 from shes.envs.tasks.task import TaskOptions
-from shes.errors import ConfigError, RunFolderError, UnknownNameError
+from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.build import OpenedRun, open_run
 from shes.runs.config import RunSettings, TrainConfig, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.folder import RunFolder
@@ -82,9 +83,7 @@ def _own_settings(like: Any, old: TrainConfig, env: str, asked: Mapping[str, Any
             f"{algorithm!r}. Omit --like, and give the settings that you want to keep."
         )
     for level in old.algorithm.transfers:
-        if level in asked:  # another one, with a checkpoint of its own
-            own.pop(f"{level}_checkpoint", None)
-        elif level in own and not RunFolder(find_run(own[level])).config.is_file():
+        if level not in asked and level in own and not RunFolder(find_run(_named(own[level])[0])).config.is_file():
             raise RunFolderError(
                 f"{like} took its {level} from {own[level]}, which is not here. Name another one, such as "
                 f"{flag(level)} {like}, or set {flag(level)} none to begin without."
@@ -151,13 +150,20 @@ def transferred_levels() -> tuple[str, ...]:
     return tuple(dict.fromkeys(level for each in algorithm_classes() for level in each.transfers))
 
 
+def _named(text: str) -> tuple[str, str]:
+    """Return the run and the checkpoint of `RUN@CHECKPOINT`; without one it is the best. An existing path wins."""
+    run, _, checkpoint = text.rpartition("@")
+    is_given = run and (checkpoint in ("best", "last") or checkpoint.isdecimal()) and not Path(text).exists()
+    return (run, checkpoint) if is_given else (text, "best")
+
+
 def _read(level: str, own: LevelTransfer, values: Mapping[str, Any]) -> OpenedRun:
     """Return the run from which a run with settings `values` takes its `level`; raise ConfigError if it cannot."""
-    path = values[level]
+    path, checkpoint = _named(values[level])
     try:
-        opened = open_run(path, values.get(f"{level}_checkpoint", "best"))
-    except RunFolderError as error:
-        raise RunFolderError(f"{flag(level)} {path}: {error}") from error
+        opened = open_run(path, checkpoint)
+    except (CheckpointError, RunFolderError) as error:
+        raise type(error)(f"{flag(level)} {values[level]}: {error}") from error
     source = opened.algorithm
     if level not in source.level_names or source.transfers.get(level) is not own:
         raise ConfigError(
@@ -225,10 +231,11 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
             )
         state = own.move(level, source.state, state)
         record = source.folder.read_record() if shipped_name(source.folder.path) is None else {}  # its name says enough
+        run, checkpoint = _named(path)
         origins[level] = {
-            "run": path,
+            "run": run,
             "env": source.config.run.env,
-            "checkpoint": config.values.get(f"{level}_checkpoint", "best"),
+            "checkpoint": checkpoint,
             "generation": source.state.generation,
             **{name: record[name] for name in ("config", *source.algorithm.transfers) if name in record},
         }

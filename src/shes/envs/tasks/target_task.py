@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,9 +15,8 @@ from shes.envs.bodies.body import ObservationElement, elements
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Coordinates, FallOptions, Task, TaskDescription
-from shes.envs.worlds import CELL_SIZE_M, WALL_HEIGHT_M, Grid, is_free
-from shes.errors import ConfigError
-from shes.settings import flag, out_of_range
+from shes.envs.worlds import CELL_SIZE_M, WALL_HEIGHT_M, Grid
+from shes.settings import out_of_range
 from shes.types import BoolArray, F64Array, IntArray, to_host
 
 SUCCESS_DISTANCE_M = 5.0
@@ -28,8 +27,6 @@ BYPASSED_DISTANCE_M = CELL_SIZE_M
 """or nearer than this if the next one is nearer still: the path may keep to the other side of a corridor."""
 CELL_M, BLOCK_CELL_M = 1.0, 2.0
 """Steps of a place in the robot's x and y, and in its height and the block's coordinates."""
-SQUARE_M = (-4.0, 20.0)
-"""Range of both coordinates of Maze's targets of training."""
 _MIN_COS_TILT = 0.5  # of a robot that stands: a tilt of 60 degrees
 
 
@@ -38,10 +35,8 @@ class TargetOptions(FallOptions):
     """Options of a task with a target."""
 
     target: Coordinates | None = None
-    """Fixed target of training in metres or, for a robot from a file, in multiples of its size; none is the task's own
-    distribution of targets."""
-    evaluation_target: Coordinates | None = None
-    """Target of evaluation, like `target`; none is the task's own."""
+    """Target of training and evaluation in metres or, for a robot from a file, in multiples of its size; none is the
+    task's own, which Maze draws for each episode of training."""
 
 
 class TargetTask(Task):
@@ -58,8 +53,8 @@ class TargetTask(Task):
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
     """Default target: x and y, or x, y and z, in units of `scale`."""
-    draws_targets: ClassVar[bool] = False
-    """Whether training's target is drawn for each episode, unless an option fixes it."""
+    training_square: ClassVar[tuple[float, float] | None] = None
+    """Range of both coordinates of a target drawn for each episode of training, unless an option fixes it."""
     target_scale: ClassVar[float] = 1.0
     """Factor on the target in observations, with specification shes."""
     description: ClassVar[TaskDescription] = TaskDescription(
@@ -92,15 +87,12 @@ class TargetTask(Task):
         self._left: F64Array = self.xp.full(self.num_episodes, np.nan)  # of the path at the last step
 
     def places(self, states: F64Array) -> Places:
-        """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`.
-
-        Success is measured to the target of evaluation.
-        """
+        """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`."""
         nq, size = self.body.num_qpos, len(self.own_target)
         position = self.body.position(states, size)
         block = states[:, nq : nq + len(self.block_axes)] / self.scale
         steps = (position[:, :2] / CELL_M, position[:, 2:] / BLOCK_CELL_M, block / BLOCK_CELL_M)
-        offset = position - np.array(self.options.evaluation_target or self.own_target)
+        offset = position - np.array(self.options.target or self.own_target)
         is_upright = ~self.body.fallen(states[:, :nq], self.ground_m * self.scale)
         if self.body.quaternion is not None:
             is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
@@ -113,12 +105,11 @@ class TargetTask(Task):
 
     @classmethod
     def check_options(cls, options: Any) -> None:
-        """Check the number of coordinates of the targets; see `Task.check_options`."""
+        """Check the number of coordinates of the target; see `Task.check_options`."""
         super().check_options(options)
         size = len(cls.own_target)
-        for name, place in (("target", options.target), ("evaluation_target", options.evaluation_target)):
-            if place is not None and len(place) != size:
-                raise out_of_range(f"{name} of {cls.name}", place, f"{size} coordinates in metres", flag(name))
+        if options.target is not None and len(options.target) != size:
+            raise out_of_range(f"target of {cls.name}", options.target, f"{size} coordinates in metres", "--target")
 
     @property
     def _shown(self) -> tuple[str, float]:
@@ -175,18 +166,21 @@ class TargetTask(Task):
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the targets of episodes `ids`; see `Task.reset_features`."""
-        fixed = self.options.target
-        if self.options.evaluation:
-            fixed = self.options.evaluation_target or self.own_target
-        chosen = np.array([fixed or self.training_target(rng) for rng in rngs])
+        square = None if self.options.target or self.options.evaluation else self.training_square
+        fixed = self.options.target or self.own_target
+        chosen = np.array([fixed if square is None else rng.uniform(*square, 2) for rng in rngs])
         rows = self.xp.asarray(ids)
         self.target[rows] = self.xp.asarray(chosen)
         self._next[rows] = 0
         self._left[rows] = np.nan
 
-    def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
-        """Return a target of training; called only if no option fixes it."""
-        return self.own_target
+    def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
+        """Start new episodes; those in a given state begin at the nearest point of the way."""
+        super().reset(ids, seeds, states)
+        if given := [i for i, state in enumerate(states) if state is not None]:
+            rows = self.xp.asarray(ids[given])
+            places = self.body.position(self.sim.qpos, self._way.shape[1])[rows]
+            self._next[rows] = ((places[:, None] - self._way) ** 2).sum(axis=2).argmin(axis=1)
 
     def update_features(self) -> F64Array:
         """Return the reward [N]: minus the distance to the target, or the progress through the waypoints."""
@@ -210,44 +204,17 @@ class TargetTask(Task):
         return out
 
 
-@dataclass(frozen=True, kw_only=True)
-class MazeOptions(TargetOptions):
-    """Options of Maze."""
-
-    target_sampling: Literal["square", "free_cells"] = "square"
-    """Distribution of training's targets: uniform in the square [-4, 20] x [-4, 20] m, walls included, or uniform in
-    its free_cells."""
-
-    def check(self) -> None:
-        """Check that `target_sampling` has an effect."""
-        if self.target is not None and self.target_sampling != "square":
-            raise ConfigError(
-                f"target_sampling {self.target_sampling!r} has no effect with target {self.target}. Omit one of them."
-            )
-
-
 class Maze(TargetTask):
     """A U-shaped corridor. In training the target is random, in evaluation it lies behind the wall.
 
-    Training's targets are uniform in a square that contains walls; with `target_sampling="free_cells"` a target in a
-    wall is drawn again. In both cases some episodes begin near their target: 12 % of those in the square start within
-    5 m of it.
+    Training's targets are uniform in a square that contains walls; 12 % of the episodes begin within 5 m of theirs.
     """
 
     name: ClassVar[str] = "maze"
-    Options = MazeOptions
-    options: MazeOptions  # type: ignore[assignment] - narrower than in TargetTask
     grid: ClassVar[Grid] = ("#####", "#r..#", "###.#", "#...#", "#####")
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
-    draws_targets: ClassVar[bool] = True
+    training_square: ClassVar[tuple[float, float] | None] = (-4.0, 20.0)
     target_scale: ClassVar[float] = 0.01
-
-    def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
-        """Draw x and y, uniform in the square."""
-        while True:
-            target = rng.uniform(*SQUARE_M, 2)
-            if self.options.target_sampling != "free_cells" or is_free(self.grid, *target):
-                return target
 
 
 class Push(TargetTask):

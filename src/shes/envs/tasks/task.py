@@ -296,8 +296,7 @@ class Task(EpisodeBatch):
         self.sim.reset(ids)
         rngs = [stream(int(seed), EpisodePurpose.RESET) for seed in seeds]
         self._place_robots(ids, rngs)
-        given = [i for i, state in enumerate(states) if state is not None]
-        if given:
+        if given := [i for i, state in enumerate(states) if state is not None]:
             self.sim.set_states(ids[given], np.array([states[i] for i in given]))
         self._heading = None
         rows = self.xp.asarray(ids)
