@@ -177,7 +177,7 @@ class TargetTask(Task):
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes; those in a given state begin at the nearest point of the way."""
         super().reset(ids, seeds, states)
-        if given := [i for i, state in enumerate(states) if state is not None]:
+        if self.num_waypoints and (given := [i for i, state in enumerate(states) if state is not None]):
             rows = self.xp.asarray(ids[given])
             places = self.body.position(self.sim.qpos, self._way.shape[1])[rows]
             self._next[rows] = ((places[:, None] - self._way) ** 2).sum(axis=2).argmin(axis=1)
