@@ -13,9 +13,10 @@ os.environ["MPLBACKEND"] = "Agg"
 import hypothesis
 import pytest
 
-# A job in a shell's background ignores Ctrl-C, and so would the processes that tests interrupt.
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# Processes that tests interrupt would inherit what a job in a shell's background (Ctrl-C) and nohup (SIGHUP) ignore.
+for number in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, signal.default_int_handler)
 
 # No deadline: a busy machine is no failure. In CI the examples are the same each time. The fast tests have three
 # minutes: `make test-extras` and `make test-all` look at more examples.

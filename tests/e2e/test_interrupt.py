@@ -90,12 +90,10 @@ def test_a_signal_waits_for_what_is_being_written(tmp_path, tiny_run, monkeypatc
     listener = runs.AfterGeneration(2, send) if place == "between generations" else None
     if listener is None:
         monkeypatch.setattr(recorder, "save_checkpoint", save)
-    ignored = signal.signal(number, signal.default_int_handler)  # tests under nohup ignore SIGHUP
     before = [signal.getsignal(each) for each in signal.Signals]
     with pytest.raises(KeyboardInterrupt):
         runs.train_tiny(tmp_path / "run", listener=listener)
     assert [signal.getsignal(each) for each in signal.Signals] == before
-    signal.signal(number, ignored)
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     monkeypatch.undo()
     resume(tmp_path / "run")
