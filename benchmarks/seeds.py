@@ -1,7 +1,7 @@
-"""Tasks of the ant over seeds: `python benchmarks/seeds.py gather --only frozen --results results/controllers`.
+"""Tasks over seeds: `python benchmarks/seeds.py gather --only frozen --results results/controllers`.
 
 - `frozen`: a controller on a shipped walker (`shes train ant-gather --primitive ant-walker`).
-- `coevolved`: both levels together from scratch (`shes train ant-gather`).
+- `coevolved`: both levels together from scratch (`shes train ant-gather`; with `--body point`, the point's twin).
 
 Every run can be interrupted at any time: the same command goes on, with several workers or runs at once. The
 tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and
@@ -75,18 +75,22 @@ def main() -> None:
     """Train what is left of the runs asked for, then write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("task", choices=tuple(WALKERS))
-    parser.add_argument("--out", type=Path, help="folder of the runs; by default runs/TASK")
+    parser.add_argument("--body", choices=("ant", "point"), default="ant", help="of the point: coevolved alone")
+    parser.add_argument("--out", type=Path, help="folder of the runs; by default in runs")
     parser.add_argument("--only", nargs="+", choices=("frozen", "coevolved"), default=["frozen", "coevolved"])
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(11, 21)), help="seeds (default: 11 to 20)")
     parser.add_argument("--workers", type=int, default=0, help="workers of a run; 0 is one for every core")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
-    out, rows, curves = asked.out or Path("runs") / asked.task, list[Any](), list[Any]()
+    if asked.body == "point" and "frozen" in asked.only:
+        parser.error("no walker is shipped for the point: add --only coevolved")
+    task = asked.task if asked.body == "ant" else f"{asked.body}_{asked.task}"
+    out, rows, curves = asked.out or Path("runs") / task, list[Any](), list[Any]()
     for way in asked.only:
         for seed in asked.seeds:
             path = out / way / f"seed_{seed}"
             settings = {**settings_of(asked.task, way, seed), "num_workers": asked.workers}
-            finish_run(make_config(f"ant-{asked.task}", overrides=settings), path)
+            finish_run(make_config(f"{asked.body}-{asked.task}", overrides=settings), path)
             if asked.results is not None:
                 shares_primitive = way == "frozen" and seed != asked.seeds[0]
                 found, curve = results(way, seed, path, CONTROLLERS[:1] if shares_primitive else CONTROLLERS)
@@ -95,7 +99,7 @@ def main() -> None:
                 curves += curve
     if asked.results is not None:
         asked.results.mkdir(parents=True, exist_ok=True)
-        name = f"{asked.task}_{'_'.join(asked.only)}"
+        name = f"{task}_{'_'.join(asked.only)}"
         write_csv(asked.results / f"{name}_runs.csv", rows)
         write_csv(asked.results / f"{name}_curves.csv", curves)
 

@@ -79,7 +79,10 @@ _CHOICES: dict[str, Variant] = {
 _LEFT_OUT: dict[str, Variant] = {
     "no-search": Variant("no search for a path", {"explore": "none"}),
     "no-starts": Variant("all episodes begin at the reset", {"explore": "archive"}),
-    "no-branches": Variant("primitive by whole episodes", {"primitive_estimate": "episode"}),
+    "no-pair-ranks": Variant("controllers ranked one by one", {"fitness_shaping": "centred_rank"}),
+    "no-branches": Variant(
+        "primitive by whole episodes", {"primitive_estimate": "episode", "fitness_shaping": "centred_rank"}
+    ),
     "no-egocentric-view": Variant("no egocentric view", {"primitive_view": "proprioception", "symmetry": "none"}),
     "no-position-view": Variant("controller sees everything", {"controller_view": "observation"}),
 }

@@ -49,7 +49,13 @@ _FORMS: dict[tuple[str, str], dict[str, Any]] = {
 }
 """Settings over the preset, by body and form: as published over preset `paper`, with the changes over `laptop`, which
 has them for the ant."""
-_NO_SEARCH = {"explore": "none", "symmetry": "none", "controller_view": "observation", "controller_output": "vector"}
+_NO_SEARCH = {
+    "explore": "none",
+    "fitness_shaping": "centred_rank",
+    "symmetry": "none",
+    "controller_view": "observation",
+    "controller_output": "vector",
+}
 """Settings of the point's Maze and Push without what preset `laptop` has there besides."""
 _POINT_ALONE = {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03}
 """With the changes, for the point's primitive that is trained alone."""

@@ -230,11 +230,6 @@ def test_a_run_is_shared_as_its_page_says(tiny_run, tmp_path, monkeypatch, capsy
     assert Path("runs/theirs/README.md").read_text(encoding="utf-8") == card
 
 
-@pytest.mark.parametrize("name", ["README.md", "results/README.md"])
-def test_nothing_is_left_to_be_filled_in(name):
-    assert not re.findall(r"\b[A-Z]+_[A-Z]+\b(?<!SHES_CACHE_DIR)", (ROOT / name).read_text(encoding="utf-8"))
-
-
 # Letters of shapes in docstrings and comments, primes included, are in the legend of docs/reference/index.md.
 
 SHAPE = re.compile(r"(?<!\w)\[([\w'.]+(?:, [\w'. +*]+)*)\]")

@@ -108,6 +108,7 @@ def test_a_notebook_is_stored_without_output(path):
 
 @pytest.mark.extras
 @pytest.mark.render
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_shows_progress_and_pictures(path, tmp_path):
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
@@ -115,7 +116,7 @@ def test_a_notebook_runs_and_shows_progress_and_pictures(path, tmp_path):
     for cell in notebook.cells:
         for name, value in SHORTER.items():
             cell.source = re.sub(rf"^{name} = .*$", f"{name} = {value}", cell.source, flags=re.MULTILINE)
-    nbclient.NotebookClient(notebook, timeout=110, resources={"metadata": {"path": tmp_path}}).execute()
+    nbclient.NotebookClient(notebook, timeout=380, resources={"metadata": {"path": tmp_path}}).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
     kinds = [kind for output in outputs for kind in output.get("data", ()) if kind in {"text/html", "image/png"}]
     assert [kind for kind, before in zip(kinds, [None, *kinds], strict=False) if kind != before] == SHOWS[path.stem]

@@ -51,7 +51,7 @@ class Places(NamedTuple):
     cells: IntArray
     """Cells [N, K], in whole steps of coordinates that matter in the task."""
     positions: F64Array
-    """Positions [N, 2 or 3] in units of `scale`, with as many coordinates as the task's target."""
+    """Positions [N, X] in units of `scale`: of the robot, with the coordinates of the target, then of the block."""
     is_upright: BoolArray
     """Whether the robot has not fallen [N]."""
     is_success: BoolArray
@@ -189,7 +189,7 @@ class EpisodeBatch(ABC):
         raise NotImplementedError
 
     def set_way(self, way: F64Array | None) -> None:  # noqa: B027 - most environments have no way to a target
-        """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None for no way."""
+        """Let the reward lead through `way` [points, X] of `Places` from the next reset on; None for no way."""
 
     @abstractmethod
     def step(self, ids: IntArray, action: FloatArray) -> None:

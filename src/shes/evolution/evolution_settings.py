@@ -229,8 +229,8 @@ _POINT_TO_TARGET = {
     **_TO_TARGET,
     "explore": "archive_starts",
     "symmetry": "auto",
-    "intervals": 2,
     "controller_interval": 10,
+    "fitness_shaping": "pair_rank",  # the members of a pair begin at the same place of the path
     "population_size": 80,
     "sigma": 0.1,
     "learning_rate": 0.05,
@@ -272,7 +272,6 @@ SHES_PRESETS: Mapping[str, Preset] = {
             "ant-fall": {**_ANT_TO_TARGET, "explore_horizon": 2500},
             "flagrun": {
                 **_ROBOT_WALKER,
-                "intervals": 2,
                 "hidden": (),
                 "population_size": 600,
                 "sigma": 0.05,
@@ -281,11 +280,11 @@ SHES_PRESETS: Mapping[str, Preset] = {
             },
             "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "population_size": 40, "goal_distance": 4.0},
             "maze": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING, "target": (0.0, 16.0)},
-            "push": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING},
-            "fall": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING},
+            **dict.fromkeys(("push", "fall"), {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING}),
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "point-maze": {**_POINT_TO_TARGET, "target": (0.0, 16.0)},
-            **dict.fromkeys(("point-push", "point-fall"), _POINT_TO_TARGET),
+            "point-push": _POINT_TO_TARGET,
+            "point-fall": {**_POINT_TO_TARGET, "generations": 100},
             "robotics-point-maze": {"minimum_goal_distance": False},
         }
     ),

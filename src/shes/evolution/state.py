@@ -42,7 +42,7 @@ class Archive:
     parents: IntArray
     """Node before each node [N]; node 0 is the reset, and its own parent."""
     positions: F64Array
-    """Robot's position at each node [N, X] in metres."""
+    """Position of the robot, then of the block, at each node [N, X] in metres."""
     way: F64Array
     """Positions [W, X] at the decisions from the reset to the first success; empty until a way is known."""
     starts: F64Array

@@ -77,8 +77,9 @@ class TargetTask(Task):
 
     def set_way(self, way: F64Array | None) -> None:
         """Set the way of the reward; see `EpisodeBatch.set_way`."""
-        points = () if way is None else way.ravel().tolist()
-        ends = np.reshape([*points, *(self.options.target or self.own_target)], (-1, len(self.own_target)))
+        target = self.options.target or self.own_target
+        points = [] if way is None else way.tolist()
+        ends = np.array([*points, [*target, *points[-1][len(target) :]] if points else target])
         legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
         self.num_waypoints = len(legs)
         self._way: F64Array = self.xp.asarray(ends)  # its points and, last, the target
@@ -98,7 +99,7 @@ class TargetTask(Task):
             is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
         return Places(
             cells=np.round(np.concatenate(steps, axis=1)).astype(np.int64),
-            positions=position,
+            positions=np.concatenate([position, block], axis=1),
             is_upright=is_upright,
             is_success=np.sqrt((offset**2).sum(axis=1)) < SUCCESS_DISTANCE_M,
         )
@@ -135,12 +136,12 @@ class TargetTask(Task):
         return self._distance_to(self.target)
 
     def _distance_to(self, points: F64Array) -> F64Array:
-        """Return the distances [N] of the robots to points [N, 2] or [N, 3]."""
-        offset = self.body.position(self.sim.qpos, points.shape[1]) - points
-        offset *= offset
-        total = offset[:, 0]
-        for axis in range(1, offset.shape[1]):
-            total = total + offset[:, axis]
+        """Return the distances [N] to points [N or 1, K]: of the robots or, in what they have more, of the blocks."""
+        size, total = len(self.own_target), 0.0
+        robots, blocks = self.body.position(self.sim.qpos, size), self.sim.qpos[:, self.body.num_qpos :]
+        for axis in range(points.shape[1]):
+            place = robots[:, axis] if axis < size else blocks[:, axis - size] / self.scale
+            total = total + (place - points[:, axis]) ** 2
         return np.sqrt(total)
 
     @property
@@ -179,8 +180,8 @@ class TargetTask(Task):
         super().reset(ids, seeds, states)
         if self.num_waypoints and (given := [i for i, state in enumerate(states) if state is not None]):
             rows = self.xp.asarray(ids[given])
-            places = self.body.position(self.sim.qpos, self._way.shape[1])[rows]
-            self._next[rows] = ((places[:, None] - self._way) ** 2).sum(axis=2).argmin(axis=1)
+            distances = self.xp.stack([self._distance_to(point[None]) for point in self._way])
+            self._next[rows] = distances[:, rows].argmin(axis=0)
 
     def update_features(self) -> F64Array:
         """Return the reward [N]: minus the distance to the target, or the progress through the waypoints."""
