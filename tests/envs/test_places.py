@@ -33,7 +33,7 @@ def test_a_cell_is_the_place_and_height_of_robot_and_block(name, place, block, c
     task = make_task(name, 1)
     places = task.places(state(task, place, block)[None])
     assert places.cells.tolist() == [list(cell)]
-    assert places.positions.tolist() == [[*place, *block]]
+    assert places.positions.tolist() == [[*place, *(block if "fall" in name else ())]]
 
 
 @pytest.mark.parametrize("height", [0.75, 0.1])
@@ -73,15 +73,16 @@ def test_a_way_gives_the_reward_until_it_is_taken_back():
     assert task.update_features().tolist() == [0]
 
 
-def test_a_way_leads_the_block_too():
-    task, rewards = make_task("point-push", 1, reset_noise=0.0), []
-    task.set_way(np.array([[0.0, 0, 0, 0], [0, 0, -8, 0]]))
-    for block, later in ((0, -4), (-8, -8)):
-        task.reset(np.array([0]), [1], [state(task, (0, 0), (block, 0))])
-        for place in ((0, 0, block), (0, 1, later)):
-            task.sim.qpos[0, :3] = place
+def test_a_way_leads_the_block_of_fall_too():
+    task, rewards = make_task("point-fall", 1, reset_noise=0.0), []
+    task.set_way(np.array([[0.0, 0, 4, 0, 0], [0, 0, 4, 8, 0]]))
+    for block, later in ((0, 4), (8, 8)):
+        task.reset(np.array([0]), [1], [state(task, (0, 0, 4), (block, 0))])
+        for place in ((0, 0, 4, block), (0, 1, 4, later)):
+            task.sim.qpos[0, :4] = place
             rewards += task.update_features().tolist()
-    assert rewards == pytest.approx([0, 8 - np.hypot(1, 4), 0, 1])
+    far, near = (np.hypot(27 - y, 0.5) for y in (0, 1))  # to the target, which is higher
+    assert rewards == pytest.approx([0, 8 - np.hypot(1, 4), 0, far - near])
 
 
 @given(st.data())

@@ -280,7 +280,7 @@ SHES_PRESETS: Mapping[str, Preset] = {
             },
             "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "population_size": 40, "goal_distance": 4.0},
             "maze": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING, "target": (0.0, 16.0)},
-            **dict.fromkeys(("push", "fall"), {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING}),
+            **{task: {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING} for task in ("push", "fall")},
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "point-maze": {**_POINT_TO_TARGET, "target": (0.0, 16.0)},
             "point-push": _POINT_TO_TARGET,

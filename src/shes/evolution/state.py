@@ -124,16 +124,14 @@ class Archive:
         return replace(grown, way=self.positions[way[::-1]], way_steps=int(steps[shortest]), starts=starts, stalled=-1)
 
     def after_slice(self) -> Archive:
-        """Return the archive after a slice of the search: without nodes that lead nowhere, or without states.
-
-        The slice that has shortened the way does not count as stalled.
-        """
+        """Return the archive after a slice of the search: without nodes that lead nowhere, or without states."""
         is_used = np.zeros(len(self.parents), dtype=np.bool_)
         is_used[0], ends = True, self.nodes
         while len(ends := ends[~is_used[ends]]):
             is_used[ends] = True
             ends = self.parents[ends]
         number = np.cumsum(is_used) - 1
+        # `entered` sets -1, so that the slice that has shortened the way does not count.
         stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
         used = {"nodes": number[self.nodes], "parents": parents, "positions": self.positions[is_used]}
         after = replace(self, **used, stalled=stalled)

@@ -51,6 +51,8 @@ class TargetTask(Task):
     has_places: ClassVar[bool] = True
     block_axes: ClassVar[str] = ""
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
+    leads_block: ClassVar[bool] = False
+    """Whether a way that a search found leads the block, too."""
     own_target: ClassVar[tuple[float, ...]]
     """Default target: x and y, or x, y and z, in units of `scale`."""
     training_square: ClassVar[tuple[float, float] | None] = None
@@ -77,8 +79,7 @@ class TargetTask(Task):
 
     def set_way(self, way: F64Array | None) -> None:
         """Set the way of the reward; see `EpisodeBatch.set_way`."""
-        target = self.options.target or self.own_target
-        points = [] if way is None else way.tolist()
+        target, points = self.options.target or self.own_target, [] if way is None else way.tolist()
         ends = np.array([*points, [*target, *points[-1][len(target) :]] if points else target])
         legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
         self.num_waypoints = len(legs)
@@ -99,7 +100,7 @@ class TargetTask(Task):
             is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
         return Places(
             cells=np.round(np.concatenate(steps, axis=1)).astype(np.int64),
-            positions=np.concatenate([position, block], axis=1),
+            positions=np.concatenate([position, block], axis=1) if self.leads_block else position,
             is_upright=is_upright,
             is_success=np.sqrt((offset**2).sum(axis=1)) < SUCCESS_DISTANCE_M,
         )
@@ -137,12 +138,12 @@ class TargetTask(Task):
 
     def _distance_to(self, points: F64Array) -> F64Array:
         """Return the distances [N] to points [N or 1, K]: of the robots or, in what they have more, of the blocks."""
-        size, total = len(self.own_target), 0.0
-        robots, blocks = self.body.position(self.sim.qpos, size), self.sim.qpos[:, self.body.num_qpos :]
-        for axis in range(points.shape[1]):
-            place = robots[:, axis] if axis < size else blocks[:, axis - size] / self.scale
-            total = total + (place - points[:, axis]) ** 2
-        return np.sqrt(total)
+        size = len(self.own_target)
+        offset = self.body.position(self.sim.qpos, size) - points[:, :size]
+        if points.shape[1] > size:
+            blocks = self.sim.qpos[:, self.body.num_qpos :] / self.scale
+            offset = self.xp.concatenate([offset, blocks - points[:, size:]], axis=1)
+        return np.sqrt((offset * offset).sum(axis=1))
 
     @property
     def reward_after_end(self) -> F64Array:
@@ -241,4 +242,5 @@ class Fall(TargetTask):
     grid: ClassVar[Grid] = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
     ground_m = WALL_HEIGHT_M
     block_axes: ClassVar[str] = "yz"
+    leads_block: ClassVar[bool] = True
     own_target: ClassVar[tuple[float, ...]] = (0.0, 27.0, 4.5)
