@@ -85,7 +85,7 @@ def test_a_task_on_a_device_gives_the_same_without_waiting(variant):
     play(pair, STEPS // 4, ids=(0, 1, 4))
     state = pair[0].states(np.array([3]))[0]
     for task in pair:
-        task.set_way(np.arange(6.0).reshape(-1, len(getattr(task, "own_target", "xy"))))
+        task.set_way(np.arange(30.0).reshape(6, 5)[:, : 5 if "fall" in variant[0] else 2])
         task.reset(np.array([1, 4]), [3, 4], [None, state])  # the second begins on the way
     play(pair, 2, ids=(1, 4))
     expected, found = (repr([task.pose(3).tolist(), task.markers(3)]) for task in pair)

@@ -75,14 +75,14 @@ def test_a_way_gives_the_reward_until_it_is_taken_back():
 
 def test_a_way_leads_the_block_of_fall_too():
     task, rewards = make_task("point-fall", 1, reset_noise=0.0), []
+    task.scale = 2.0  # the unit of the block's coordinates, as with a robot from a file
     task.set_way(np.array([[0.0, 0, 4, 0, 0], [0, 0, 4, 8, 0]]))
-    for block, later in ((0, 4), (8, 8)):
+    for block, later in ((0, 8), (16, 16)):
         task.reset(np.array([0]), [1], [state(task, (0, 0, 4), (block, 0))])
         for place in ((0, 0, 4, block), (0, 1, 4, later)):
             task.sim.qpos[0, :4] = place
             rewards += task.update_features().tolist()
-    far, near = (np.hypot(27 - y, 0.5) for y in (0, 1))  # to the target, which is higher
-    assert rewards == pytest.approx([0, 8 - np.hypot(1, 4), 0, far - near])
+    assert rewards == pytest.approx([0, 8 - np.hypot(1, 4), 0, np.hypot(27, 0.5) - np.hypot(26, 0.5)])
 
 
 @given(st.data())

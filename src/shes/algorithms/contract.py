@@ -302,7 +302,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], expected: Mapping[str, np.nda
         if not is_alike or array.ndim != own.ndim or any(allowed not in {0, length} for length, allowed in lengths):
             raise CheckpointError(
                 f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
-                f"{own.shape}. Put back the checkpoint of this run."
+                f"{own.shape}. Put back the checkpoint of this run; if an older version made it, train anew."
             )
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")

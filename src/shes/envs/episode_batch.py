@@ -51,7 +51,7 @@ class Places(NamedTuple):
     cells: IntArray
     """Cells [N, K], in whole steps of coordinates that matter in the task."""
     positions: F64Array
-    """Positions [N, X] in units of `scale`: of the robot, with the coordinates of the target, then of the block."""
+    """Positions [N, X] in units of `scale`: of the robot and, in Fall, of the block."""
     is_upright: BoolArray
     """Whether the robot has not fallen [N]."""
     is_success: BoolArray

@@ -138,7 +138,7 @@ def _check_population(settings: Any) -> None:
     if evolution.fitness_shaping == "pair_rank" and members != 2:
         raise ConfigError(
             f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {evolution.mirrored!r} a group "
-            f"has {members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
+            f"has {members} member(s) here. Set --fitness-shaping centred_rank, or --mirrored pair."
         )
     perturbation = settings.values.get("perturbation", HierarchySettings.perturbation)
     check_population_size(perturbation, evolution.mirrored, evolution.population_size, levels)

@@ -22,7 +22,7 @@ PATIENCE = 5
 class Archive:
     """The places that a search for a way has reached, how to get back to each, and the best way so far.
 
-    A place is a cell of the task's own coordinates. Ways form a tree of nodes, the robot's positions at the decisions.
+    A place is a cell of the task's own coordinates. Ways form a tree of nodes, the positions at the decisions.
     C cells, N nodes, W points of the way, M walkers, K coordinates of a cell, S of a physics state, X of a position.
 
     Source: Ecoffet et al. 2021 (Go-Explore).
@@ -42,7 +42,7 @@ class Archive:
     parents: IntArray
     """Node before each node [N]; node 0 is the reset, and its own parent."""
     positions: F64Array
-    """Position of the robot, then of the block, at each node [N, X] in metres."""
+    """Position of the robot, and of a block that the way leads, at each node [N, X] in metres."""
     way: F64Array
     """Positions [W, X] at the decisions from the reset to the first success; empty until a way is known."""
     starts: F64Array

@@ -102,7 +102,7 @@ class Generation:
     decisions: Decisions | None = None
     """Added to the outputs of the deciding level, whose parameters in `levels` are then 0; None for its own outputs."""
     way: F64Array | None = None
-    """Waypoints [points, 2 or 3] to the target in metres; None without a way."""
+    """Waypoints [points, X] to the target in metres; None without a way."""
 
     @property
     def rows_per_lane(self) -> int:

@@ -137,13 +137,14 @@ class TargetTask(Task):
         return self._distance_to(self.target)
 
     def _distance_to(self, points: F64Array) -> F64Array:
-        """Return the distances [N] to points [N or 1, K]: of the robots or, in what they have more, of the blocks."""
+        """Return the distances [..., N] to points [..., N or 1, X] of the robots and, with more coordinates, blocks."""
         size = len(self.own_target)
-        offset = self.body.position(self.sim.qpos, size) - points[:, :size]
-        if points.shape[1] > size:
+        offset = self.body.position(self.sim.qpos, size) - points[..., :size]
+        if points.shape[-1] > size:
             blocks = self.sim.qpos[:, self.body.num_qpos :] / self.scale
-            offset = self.xp.concatenate([offset, blocks - points[:, size:]], axis=1)
-        return np.sqrt((offset * offset).sum(axis=1))
+            offset = self.xp.concatenate([offset, blocks - points[..., size:]], axis=-1)
+        offset *= offset
+        return np.sqrt(sum(offset[..., axis] for axis in range(offset.shape[-1])))
 
     @property
     def reward_after_end(self) -> F64Array:
@@ -181,8 +182,7 @@ class TargetTask(Task):
         super().reset(ids, seeds, states)
         if self.num_waypoints and (given := [i for i, state in enumerate(states) if state is not None]):
             rows = self.xp.asarray(ids[given])
-            distances = self.xp.stack([self._distance_to(point[None]) for point in self._way])
-            self._next[rows] = distances[:, rows].argmin(axis=0)
+            self._next[rows] = self._distance_to(self._way[:, None]).argmin(axis=0)[rows]
 
     def update_features(self) -> F64Array:
         """Return the reward [N]: minus the distance to the target, or the progress through the waypoints."""
