@@ -71,11 +71,14 @@ def test_a_part_comes_with_the_base_and_the_primitives():
     design = made("ablation", "smoke")
     places = {each.place for each in design.only(["transfer"]).runs}
     transfers = {("point-gather", "transfer", name) for name in ("scratch", "frozen", "unfrozen")}
-    bases = {(env, "choices", "base") for env in ablation.ENVS}
-    assert places == {*transfers, *bases, ("point-flagrun", "transfer", "base")}
+    bases = {*((env, "choices", "base") for env in ablation.ENVS), ("point-flagrun", "transfer", "base")}
+    assert places == transfers | bases
     assert {each.place[:2] for each in design.only(["point-maze", "choices"]).runs} == {("point-maze", "choices")}
     assert {each.env for each in made("fig5", "smoke").only(["ant-push"]).runs} == {"ant-push", "ant-flagrun"}
     assert design.only([]) == design
+    (preset,) = (each for each in made("ablation").runs if each.variant == "pair-ranks")  # as its words say
+    plain = {name: value for name, value in preset.settings.items() if name != "fitness_shaping"}
+    assert replace(preset, settings=plain).planned_config().values == preset.planned_config().values
 
 
 def test_the_papers_experiments_share_runs():
