@@ -59,7 +59,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@pwd -P > $(STAMP)
 	@echo "setup: done"
 
-demo: $(STAMP) ## an ant learns to walk and to collect food: under four minutes
+demo: $(STAMP) ## an ant learns to walk and to collect food: about five minutes
 	$(DEMO_COMMAND)
 
 test: $(STAMP) ## fast tests, no extras: about 2 minutes on 2 idle cores
