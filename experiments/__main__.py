@@ -15,7 +15,7 @@ from experiments.ablation import ablation
 from experiments.comparisons import compare
 from experiments.design import Experiment
 from experiments.figures import draw_figures
-from experiments.paper import figure_3, figure_4, figure_5, settings_table
+from experiments.paper import figure_3, figure_4, figure_5
 from experiments.results import PlacedResults, read_results, read_tables, write_csv
 from experiments.running import run_experiment
 from experiments.walker import walker
@@ -105,8 +105,6 @@ def _write(name: str, experiment: Experiment, results: PlacedResults, out: Path)
     results.comparisons = compare(results)
     if results.comparisons:
         write_csv(out / (f"{name}.csv" if name in _OF_THE_PAPER else "comparison.csv"), results.comparisons)
-    if name == "table1":
-        write_csv(out / "table1-settings.csv", settings_table())
     figures = draw_figures(results, out)
     for env, rows in groupby(results.comparisons, lambda row: row["env"]):
         _CONSOLE.print(_comparison_table(experiment, env, list(rows)))

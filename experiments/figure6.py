@@ -6,7 +6,7 @@ Source: SHES paper, Figure 6.
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,9 +15,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from experiments.curve_figure import write_names
 from experiments.design import Run
-from experiments.figures import WIDTH
+from experiments.figures import COLORS, WIDTH
 from experiments.paper import METHODS, figure_3
 from experiments.paper_settings import PIECES, PUBLISHED, SCALES
 from experiments.results import write_csv
@@ -36,13 +38,13 @@ PAPER_SECONDS: Mapping[str, Mapping[int, float]] = {
     FLAT: {1: 6345, 24: 523, 48: 310, 72: 199, 120: 148, 240: 84.6},
 }
 """Raw times of the authors' code by cores, in seconds: SHES on Ant Maze with threads, S-ES over MPI."""
-_COLORS = {PUBLISHED: "#c44e00", FLAT: "#1f77b4", PIECES: "#2a7f3f"}
-_LOOKS: Mapping[str, tuple[str, dict[str, Any]]] = {
-    "projected": ("projected", {"linestyle": "-"}),
-    "measured": ("measured", {"linestyle": "", "marker": "o"}),
-    "asleep": ("sleeping workers", {"linestyle": "", "marker": "s", "mfc": "none"}),
+
+_MARKS: Mapping[str, dict[str, Any]] = {
+    "projected, down to what sleeping workers reached": {},
+    "measured": {"linestyle": "", "marker": "o"},
+    "authors' code": {"linestyle": "", "marker": "x"},
 }
-"""Kinds of rows in words, and how they are drawn; `asleep` is of earlier measurements alone."""
+"""What is drawn in the colour of each method, in words."""
 
 
 def measured_runs(scale: str) -> list[Run]:
@@ -96,26 +98,42 @@ def draw(out: Path) -> Path:
     return out / "fig6.png"
 
 
+def slowdown(rows: Sequence[Mapping[str, Any]], variant: str) -> tuple[list[int], list[float]]:
+    """Return numbers of cores, and by how much workers that only sleep were slower there than projected.
+
+    The sleeping workers and their own projection are rows of earlier measurements alone.
+    """
+    seconds = {
+        (row["kind"], int(row["cores"])): float(row["generation_s"]) for row in rows if row["variant"] == variant
+    }
+    cores = sorted(number for kind, number in seconds if kind == "asleep")
+    return [1, *cores], [1.0, *(seconds["asleep", n] / seconds["projected asleep", n] for n in cores)]
+
+
 def speedup_figure(rows: list[Row]) -> Figure:
     """Return a figure of speed-up over cores, with the paper's slope and the times of the authors' code."""
-    figure, axis = plt.subplots(figsize=(WIDTH, 0.7 * WIDTH), layout="constrained")
+    figure, axis = plt.subplots(figsize=(WIDTH, 0.55 * WIDTH), layout="constrained")
     most = max(row["cores"] for row in rows)
-    axis.plot([1, most], [1, most], color="black", linewidth=0.8, label="perfect")
+    axis.plot([1, most], [1, most], color="black", linewidth=0.8)
+    names = [(float(most), "perfect", "black")]
     knots, speedups = zip(*PAPER_SLOPE, strict=True)
     cores = np.arange(knots[0], knots[-1] + 1)  # on logarithmic axes the line is curved
-    axis.plot(cores, np.interp(cores, knots, speedups), color="black", linestyle=":", label="paper, Figure 6 (slope)")
+    axis.plot(cores, np.interp(cores, knots, speedups), color="black", linestyle=":")
+    names.append((float(speedups[-1]), "paper, Figure 6 (slope)", "black"))
     for variant in dict.fromkeys(row["variant"] for row in rows):
-        color, words = _COLORS[variant], LABELS[variant]
+        color = COLORS[variant]
         if seconds := PAPER_SECONDS.get(variant):
-            faster = [seconds[1] / each for each in seconds.values()]
-            name = "S-ES" if variant == FLAT else "SHES"
-            axis.plot(list(seconds), faster, "x", color=color, label=f"{name}, authors' code")
-        for kind, (kind_words, look) in _LOOKS.items():
-            own = [row for row in rows if (row["variant"], row["kind"]) == (variant, kind)]
-            if own:
-                x, y = [row["cores"] for row in own], [float(row["speedup"]) for row in own]
-                axis.plot(x, y, color=color, **look, label=f"{words}, {kind_words}")
+            axis.plot(list(seconds), [seconds[1] / each for each in seconds.values()], "x", color=color)
+        own = [row for row in rows if row["variant"] == variant]
+        for kind, mark in (("measured", "o"), ("projected", "-")):
+            found = [row for row in own if row["kind"] == kind]
+            x, y = (np.array([float(row[key]) for row in found]) for key in ("cores", "speedup"))
+            axis.plot(x, y, mark, color=color)
+        axis.fill_between(x, y / np.interp(x, *slowdown(rows, variant)), y, color=color, alpha=0.2, linewidth=0)
+        names.append((float(y[-1]), LABELS[variant], color))
     axis.set(xscale="log", yscale="log", xlabel="cores", ylabel="speed-up", title=rows[0]["env"])
-    axis.legend(frameon=False, fontsize=8)
+    write_names(axis, names)
+    grey = [Line2D([], [], color="grey", **look) for look in _MARKS.values()]
+    axis.legend(grey, list(_MARKS), frameon=False)
     axis.spines[["top", "right"]].set_visible(False)
     return figure

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
@@ -21,7 +23,26 @@ from shes.viewing.curves import confidence_interval
 WIDTH = 10.0
 """Width of a figure in inches."""
 _STYLE: dict[Any, Any] = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
-_BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
+_BASE_COLOR, _COLOR = "#0072b2", "#d55e00"
+COLORS: Mapping[str, str] = {
+    "published": _BASE_COLOR,
+    "pieces": _COLOR,
+    "hiro": "#009e73",
+    "es": "#aa4499",
+    "transfer published": "#56b4e9",
+    "transfer pieces": "#e69f00",
+}
+"""Colour of each method in all figures: distinguishable for the colour-blind (Okabe and Ito 2008)."""
+
+
+def color_of(group: str, variant: str, others: Sequence[str] = ()) -> str:
+    """Return the colour of a method; of another variant, one for its place among the `others` of the figure."""
+    form, _, workers = variant.partition("-")
+    known = COLORS.get(f"{group} {form}", COLORS.get(form))
+    if known is None:
+        place = (1 + others.index(variant)) / (1 + len(others)) if variant in others else 0.5
+        return to_hex(colormaps["viridis"](place))
+    return to_hex(np.sqrt(to_rgb(known))) if workers not in ("", "1") else known
 
 
 def draw_figures(results: PlacedResults, out: Path) -> list[Path]:

@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 from experiments.curve_figure import Curve, Panel, draw_curves
 from experiments.design import DrawFigure, Experiment, Measure, Pair, Run, find_size, generation_steps, whole, within
-from experiments.figures import forest
 from experiments.paper_settings import (
     OF_PRIMITIVE,
     PIECES,
@@ -27,11 +26,8 @@ from experiments.paper_settings import (
     STEPS,
     STEPS_TASK,
     TASKS,
-    WITH_OTHER_GOALS,
     Scale,
 )
-from shes.runs.make_config import make_config
-from shes.runs.tables import Row
 
 METHODS, STEPWISE, TRANSFER, WORKERS = "methods", "steps", "transfer", "workers"
 """Groups of runs."""
@@ -55,11 +51,12 @@ _WORDS = {
     PIECES: "with the learning changes",
     HIRO: "HIRO",
 }
+_SHORT = {PUBLISHED: "published", PIECES: "with changes"}
+"""The same at a line of a figure."""
 _SCORE, _TRAINING = (
     Measure("score_mean", "test score"),
     Measure("training_return_mean", "training reward, perturbed policies"),
 )
-_OF_PRIMITIVE = Measure("primitive_return_mean", "test return of the primitive")
 _BEST = Measure("best_score", "score of the best checkpoint")
 _SECONDS = Measure("seconds", "seconds of a run")
 _PUBLISHED_NOTE = (
@@ -71,15 +68,13 @@ _PUBLISHED_NOTE = (
 def figure_3(scale: str = "laptop", seeds: int | None = None) -> Experiment:
     """Return the runs of Table I and figure 3: SHES, the steps between its forms, and HIRO."""
     size = _size(scale, seeds)
-    words = _words(size)
     pairs = [Pair((METHODS, HIRO), (METHODS, PIECES))]
     for body, forms in STEPS.items():
         env = f"{body}-{STEPS_TASK}"
         pairs += [Pair((STEPWISE, first), (STEPWISE, second), env) for first, second in pairwise(forms)]
         pairs.append(Pair((METHODS, PIECES), (STEPWISE, forms[-1]), env))  # as one of the comparisons of the steps
-    curves = [Curve(METHODS, form, f"SHES {words[form]}") for form in _FORMS] + [Curve(METHODS, HIRO, words[HIRO])]
+    curves = [Curve(METHODS, form, f"SHES {_SHORT[form]}") for form in _FORMS] + [Curve(METHODS, HIRO, _WORDS[HIRO])]
     figures = {
-        "table1.png": partial(forest, group=METHODS),
         "fig3-env-steps.png": _curves(size, curves, _SCORE, "env_steps", REFERENCES),
         "fig3-hours.png": _curves(size, curves, _SCORE, "seconds", REFERENCES),
         "fig3-steps.png": _step_curves(size),
@@ -91,16 +86,15 @@ def figure_3(scale: str = "laptop", seeds: int | None = None) -> Experiment:
 def figure_4(scale: str = "laptop", seeds: int | None = None) -> Experiment:
     """Return the runs of figure 4: the training reward at several numbers of workers."""
     size = _size(scale, seeds, is_timed=True)
-    words = _words(size)
     variants = {f"{form}-{number}": (form, number) for form in _FORMS for number in size.num_workers}
-    labels = {name: f"{words[form]}, {count} worker{'s' * (count > 1)}" for name, (form, count) in variants.items()}
+    labels = {name: f"{_WORDS[form]}, {count} worker{'s' * (count > 1)}" for name, (form, count) in variants.items()}
     runs = [
         replace(run, group=WORKERS, variant=variant, settings={**run.settings, "num_workers": number})
         for run in _all_runs(size, lambda _: {METHODS: _FORMS})
         for variant, (form, number) in variants.items()
         if form == run.variant
     ]
-    curves = [Curve(WORKERS, variant, f"SHES {label}") for variant, label in labels.items()]
+    curves = [Curve(WORKERS, name) for name in labels]
     fewest, *more = size.num_workers
     pairs = [(f"{PIECES}-{fewest}", f"{PIECES}-{number}") for number in more]
     pairs += [(f"{PUBLISHED}-{number}", f"{PIECES}-{number}") for number in more]
@@ -118,7 +112,7 @@ def figure_5(scale: str = "laptop", seeds: int | None = None) -> Experiment:
     """Return the runs of figure 5: the training reward of SHES and SHES-TL."""
     size, names = _size(scale, seeds), {METHODS: "SHES", TRANSFER: "SHES-TL"}
     curves = [
-        Curve(group, form, f"{name} {_words(size)[form]}", is_after_primitive=group == TRANSFER)
+        Curve(group, form, f"{name} {_SHORT[form]}", is_after_primitive=group == TRANSFER)
         for group, name in names.items()
         for form in _FORMS
     ]
@@ -139,12 +133,6 @@ def _size(scale: str, seeds: int | None, *, is_timed: bool = False) -> Scale:
     if is_timed:
         size = replace(size, seeds=size.timed_seeds or size.seeds, env_steps={**size.env_steps, **size.timed_env_steps})
     return size if seeds is None else replace(size, seeds=dict.fromkeys(size.seeds, seeds))
-
-
-def _words(size: Scale) -> dict[str, str]:
-    """Return the names of the variants: small ones are called so."""
-    small = {variant: f"{_WORDS[variant]}, small" for variant in (PUBLISHED, HIRO)}
-    return _WORDS if size.preset == "paper" else {**_WORDS, **small}
 
 
 # Runs.
@@ -223,7 +211,7 @@ def _experiment(
         groups={group: _GROUPS[group] for group in dict.fromkeys(run.group for run in runs)},
         base=(runs[0].group, runs[0].variant),
         metrics=dict.fromkeys(envs, metric),
-        labels=_words(size),
+        labels=_WORDS,
         pairs=pairs,
         figures=figures,
         episodes=size.episodes,
@@ -233,16 +221,17 @@ def _experiment(
 
 
 def _step_curves(size: Scale) -> DrawFigure:
-    """Return a figure of the steps between the two forms: for each body the score, and the primitive's return."""
-
-    def panel(body: str, measure: Measure) -> Panel:
-        curves = [Curve(METHODS, PUBLISHED), *(Curve(STEPWISE, form) for form in STEPS[body]), Curve(METHODS, PIECES)]
-        if measure is _OF_PRIMITIVE:  # the return of one that has other goals cannot be compared
-            curves = [curve for curve in curves if curve.variant not in (*WITH_OTHER_GOALS, PIECES)]
-        title = f"{body} {STEPS_TASK}".title() + ", step by step"
-        return Panel(env=f"{body}-{STEPS_TASK}", title=title, curves=tuple(curves), measure=measure)
-
-    panels = [panel(body, measure) for body in size.seeds for measure in (_SCORE, _OF_PRIMITIVE)]
+    """Return a figure of the steps between the two forms: a panel for each body."""
+    ends = Curve(METHODS, PUBLISHED), Curve(METHODS, PIECES)
+    panels = [
+        Panel(
+            env=f"{body}-{STEPS_TASK}",
+            title=f"{body} {STEPS_TASK}".title(),
+            curves=(ends[0], *(Curve(STEPWISE, form) for form in STEPS[body]), ends[1]),
+            measure=_SCORE,
+        )
+        for body in size.seeds
+    ]
     return partial(draw_curves, panels=panels, columns=2)
 
 
@@ -268,33 +257,3 @@ def _curves(
         for task in TASKS
     ]
     return partial(draw_curves, panels=panels, columns=len(TASKS), references_note=_PUBLISHED_NOTE)
-
-
-# Table I.
-
-TABLE_1: Mapping[str, tuple[str, Any, str, Any]] = {
-    "controller interval": ("controller_interval", 25, "controller_interval", 10),
-    "controller distance": ("goal_distance", 4, "goal_distance", 10),
-    "learning rate": ("learning_rate", 0.01, "actor_learning_rate", 0.001),
-    "sigma": ("sigma", 0.02, "", None),
-    "episodes per policy": ("episodes_per_policy", 5, "", None),
-    "policies per generation": ("population_size", 1000, "", None),
-    "time horizon": ("horizon", 500, "horizon", 500),
-    "generations": ("generations", 3000, "", 3000),
-    "minutes": ("minutes", 600, "minutes", 600),
-}
-"""Parameters of a run: setting and value of SHES and SHES-TL, setting and value of HIRO. There are ten runs of each, on
-48, 240 and 600 cores, of HIRO on 24 and a V100 GPU. HIRO has no generations: here its runs have 10 million environment
-steps, as the paper's text says."""
-
-
-def settings_table(env: str = "ant-gather") -> list[Row]:
-    """Return a row for each of `TABLE_1` with the value in the paper and in scale `paper` on `env`, None if unset."""
-    scale = SCALES["paper"]
-    ours = make_config(env, scale.preset, scale.settings).values
-    hiro = make_config(env, scale.hiro_preset, {"algorithm": "hiro", **scale.hiro}).values
-    columns = ("parameter", "shes", "shes_here", "hiro", "hiro_here")
-    return [
-        dict(zip(columns, (words, value, ours[name], of_hiro, hiro.get(hiro_name)), strict=True))
-        for words, (name, value, hiro_name, of_hiro) in TABLE_1.items()
-    ]
