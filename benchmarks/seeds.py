@@ -6,7 +6,8 @@
 Every run can be interrupted at any time: the same command goes on, with several workers or runs at once. The
 tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and
 rows for the best of nine constant controllers and for random goals on the same primitive; on a shipped walker, which
-all seeds share, these two once.
+all seeds share, these two once. Where the learning rate falls to its end, the last checkpoint takes the place of the
+best one.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Any
 from run import write_csv
 
 import shes
+from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.runs.train import finish_run
@@ -28,28 +30,30 @@ EPISODES = 200
 CONTROLLERS = ("trained", "constant", "random")
 WALKERS = {"gather": "ant-walker", "maze": "ant-walker", "push": "ant-walker-stiff", "fall": "ant-walker-stiff"}
 """The shipped walker of each task."""
+_PLAIN: dict[str, Any] = {"fitness_shaping": "centred_rank", "learning_rate": 0.05, "learning_rate_end": None}
 FROZEN: dict[str, dict[str, Any]] = {
-    "gather": {"generations": 75, "evaluation_interval": 15, "evaluation_episodes": 100},
-    "maze": {"generations": 60, "evaluation_interval": 10, "evaluation_episodes": 100},
+    "gather": {"generations": 75, "evaluation_interval": 15},
+    "maze": {**_PLAIN, "generations": 60, "evaluation_interval": 10},
     "push": {
-        "generations": 100,
-        "evaluation_interval": 10,
-        "evaluation_episodes": 100,
+        **_PLAIN,
         "learning_rate_end": 0.01,
         "schedule_generations": 100,
+        "generations": 100,
+        "evaluation_interval": 10,
     },
-    "fall": {"generations": 120, "evaluation_interval": 20, "evaluation_episodes": 100},
+    "fall": {**_PLAIN, "generations": 120, "evaluation_interval": 20},
 }
 """Settings over the preset of a controller on a walker."""
 
 
 def settings_of(task: str, way: str, seed: int) -> dict[str, Any]:
     """Return the settings of a run over preset `laptop`."""
-    return {"seed": seed} | ({"primitive": WALKERS[task], **FROZEN[task]} if way == "frozen" else {})
+    own = {"primitive": WALKERS[task], "evaluation_episodes": 100, **FROZEN[task]} if way == "frozen" else {}
+    return {"seed": seed, **own}
 
 
 def results(way: str, seed: int, path: Path, controllers: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-    """Return a row about each controller of a finished run's best checkpoint, and one for each of its evaluations."""
+    """Return a row about each controller of a finished run's checkpoint, and one for each of its evaluations."""
     progress, table = read_csv(path / "progress.csv"), read_csv(path / "evaluation.csv")
     run = {
         "way": way,
@@ -58,11 +62,15 @@ def results(way: str, seed: int, path: Path, controllers: Sequence[Any]) -> tupl
         "env_steps": int(progress["env_steps"][-1]),
         "wall_time_s": round(progress["wall_time_s"][-1]),
     }
-    rows = []
+    has_schedule = way == "coevolved" and RunFolder(path).read_config().evolution.learning_rate_end is not None
+    rows, checkpoint = [], "last" if has_schedule else "best"
     for controller in controllers:
-        found = shes.evaluate(path, episodes=EPISODES, controller=controller)
+        found = shes.evaluate(path, episodes=EPISODES, controller=controller, checkpoint=checkpoint)
         names = ("score_mean", "score_std", "success_rate", "return_mean", "episode_steps_mean")
-        rows.append({**run, "controller": found.controller} | {name: found.summary()[name] for name in names})
+        rows.append(
+            {**run, "checkpoint": checkpoint, "controller": found.controller}
+            | {name: found.summary()[name] for name in names}
+        )
     names = ("generation", "env_steps", "wall_time_s", "score_mean", "score_std")
     curve = [
         {"way": way, "seed": seed, **dict(zip(names, values, strict=True))}

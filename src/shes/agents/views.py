@@ -282,12 +282,7 @@ PRIMITIVE_VIEWS: Registry[ViewChoice] = Registry(
 """Views of the primitive by name: the choices of `--primitive-view`."""
 CONTROLLER_VIEWS: Registry[ViewChoice] = Registry(
     "controller view",
-    {
-        "observation": whole_observation,
-        "egocentric": egocentric_and_others,
-        "sectors": sectors,
-        "position": position,
-    },
+    {"observation": whole_observation, "egocentric": egocentric_and_others, "sectors": sectors, "position": position},
     fix="Set --controller-view.",
     check=check_function,
 )

@@ -121,8 +121,7 @@ HIRO_PRESETS: Mapping[str, Preset] = {
     # The same with the values of HIRO in Table I, in the environments of the SHES authors. Their Maze shows the target
     # in units of 100 m, x and y in metres: without normalisation the controller would hardly see it.
     "hiro-table1": Preset(
-        values={**_HIRO, "actor_learning_rate": 0.001, "normalise_inputs": True},
-        per_environment=_NOISE | _SMALL_MAZE,
+        values={**_HIRO, "actor_learning_rate": 0.001, "normalise_inputs": True}, per_environment=_NOISE | _SMALL_MAZE
     ),
 }
 """Values of both."""

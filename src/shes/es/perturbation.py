@@ -42,10 +42,7 @@ def unmirrored(num_levels: int) -> Sequence[Sequence[int]]:
 
 
 MIRRORINGS: Registry[Mirroring] = Registry(
-    "mirroring",
-    {"quad": quad, "pair": pair, "none": unmirrored},
-    fix="Set --mirrored.",
-    check=check_function,
+    "mirroring", {"quad": quad, "pair": pair, "none": unmirrored}, fix="Set --mirrored.", check=check_function
 )
 """Mirrorings by name: the choices of `--mirrored`."""
 

@@ -222,7 +222,12 @@ _ANT_TO_TARGET = {
     "max_tilt": 60.0,
     "explore_horizon": 1500,  # a slow walker finds the way, and a faster one a shorter way
     "population_size": 40,
-    "generations": 200,
+    "fitness_shaping": "pair_rank",
+    "learning_rate": 0.03,
+    "learning_rate_end": 0.005,  # with constant rates each level loses what the other has adapted to
+    "primitive_learning_rate": None,
+    "schedule_generations": 150,
+    "generations": 150,
 }
 _POINT_TO_TARGET = {
     **_BRANCHES,
@@ -250,7 +255,8 @@ _ROBOT_WALKER: dict[str, Any] = {
     "goal_distance": 8.0,
 }
 _ROBOT = {**_ANT, **_ROBOT_WALKER, "controller_interval": 25}
-_WITHOUT_WALKING = {"explore_horizon": 4000, "horizon": 2000, "evaluation_horizon": 2000}
+_ROBOT_TO_TARGET = {**_ROBOT, **_TO_TARGET, "explore_horizon": 4000, "max_tilt": 60.0, "generations": 200}
+_ROBOT_TO_TARGET |= {"horizon": 2000, "evaluation_horizon": 2000}
 
 SHES_PRESETS: Mapping[str, Preset] = {
     **SES_PRESETS,
@@ -279,8 +285,8 @@ SHES_PRESETS: Mapping[str, Preset] = {
                 "generations": 200,
             },
             "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "population_size": 40, "goal_distance": 4.0},
-            "maze": {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING, "target": (0.0, 16.0)},
-            **{task: {**_ANT_TO_TARGET, **_ROBOT, **_WITHOUT_WALKING} for task in ("push", "fall")},
+            "maze": {**_ROBOT_TO_TARGET, "target": (0.0, 16.0)},
+            **dict.fromkeys(("push", "fall"), _ROBOT_TO_TARGET),
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "point-maze": {**_POINT_TO_TARGET, "target": (0.0, 16.0)},
             "point-push": _POINT_TO_TARGET,
