@@ -57,7 +57,7 @@ class Steering(Backend):
             self.starts.append(task.start)
             place = np.zeros(3) if task.start.state is None else task.start.state
             state = place + self.speed * np.append(task.start.goals[0] / 4, 0)
-            end = Snapshot(state=state, steps=task.start.steps + 10) if state[0] > -3 else None
+            end = (Snapshot(state=state, steps=task.start.steps + 10),) if state[0] > -3 else ()
             yield EpisodeResults(outcomes=outcomes(returns=np.zeros((1, 1)), steps=[10]), moments=None, snapshots=[end])
 
     def close(self):

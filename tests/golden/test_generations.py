@@ -45,7 +45,7 @@ BRANCHED = {
 }
 RUNS = {
     "generations": ("point-gather", 14, {**EVERY, "episodes_per_policy": 2}),
-    "branched_two_levels": ("point-push", 7, {**BRANCHED, "primitive_population_size": 12, "fall_price": 0.5}),
+    "branched_two_levels": ("point-push", 7, {**BRANCHED, "primitive_population_size": 40, "fall_price": 0.5}),
     "branched_one_level": ("point-flagrun", 3, BRANCHED),
 }
 """Environment, seed and settings of each run.

@@ -46,7 +46,7 @@ CHOICES = {
     ),
     "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": ("ant-flagrun", {**EGOCENTRIC, "symmetry": "rotation", "max_tilt": 20.0}),
-    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0}),
+    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0, "fitness_shaping": "centred_rank"}),
 }  # fmt: skip
 
 

@@ -160,11 +160,11 @@ GROUPS: dict[str, Group] = {
         "controller_interval": Row(7, lambda r: (
             design(lambda d: d.controller_interval)(r),
             r.of("branch")[0].generation.branch_steps,
-            int(np.gcd.reduce([step for task in tasks(r) for step in task.snapshot_steps])),
+            int(np.gcd.reduce(np.ravel([task.snapshot_steps for task in tasks(r)]))),
         ), ([7, 7], 21, 7)),
         "intervals": Row(3, lambda r: (r.of("training")[0].generation.snapshot_goals,
                                        r.of("branch")[0].rollout.design.num_recorded_goals), (3, 3)),
-        "horizon": Row(90, lambda r: (longest(r), max(max(task.snapshot_steps) for task in tasks(r))), (90, 84)),
+        "horizon": Row(90, lambda r: (longest(r), int(np.max([task.snapshot_steps for task in tasks(r)]))), (90, 77)),
         "goal_distance": Row(
             2.5, lambda r: (r.of("training")[0].rollout.design.goal_distance, goals_within(r, 2.5)),
             (2.5, True),

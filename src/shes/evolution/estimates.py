@@ -201,11 +201,12 @@ def _episode_tasks(
     seeds = np.broadcast_to(rng.integers(0, 2**63, (*shares, episodes)), (groups, members, episodes))
     sampler = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation)
     records = [sampler.random() < own.statistics_fraction for _ in range(groups)]
-    snapshot_steps = list[int]()  # before the snapshot of each episode
+    snapshot_steps = list[tuple[int, ...]]()  # before the snapshots of each episode
     if settings.intervals is not None:
-        interval = settings.intervals.controller_interval
+        interval, pairs = settings.intervals.controller_interval, settings.intervals.evolution.population_size // 2
         rng, decisions = stream(state.seed, Purpose.SNAPSHOTS, state.generation), -(-settings.horizon // interval)
-        snapshot_steps = (interval * rng.integers(0, decisions, seeds.size)).tolist()
+        every = np.tile(interval * np.arange(decisions), (seeds.size, 1))
+        snapshot_steps = [*map(tuple, rng.permuted(every, axis=1)[:, : -(-pairs // seeds.size)].tolist())]
     starts = _starts_on_way(state, settings, groups)
     return [
         EpisodeTask(
@@ -250,7 +251,7 @@ def draw_pairs(
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
     if before:
-        snapshots = [each for one in before for each in one.results.snapshots.values()]
+        snapshots = [each for one in before for own in one.results.snapshots.values() for each in own]
         starts = _drawn_starts(rng, snapshots, estimate, groups)
     else:
         starts = state.running or [None] * groups
@@ -302,7 +303,7 @@ def next_running(pairs: Population, horizon: int) -> tuple[Snapshot | None, ...]
 
     It starts anew if that end was terminal or reached the horizon. None means that all start anew.
     """
-    ends = {member // 2: end for (member, _), end in pairs.results.snapshots.items() if end.steps < horizon}
+    ends = {member // 2: end for (member, _), (end,) in pairs.results.snapshots.items() if end.steps < horizon}
     return tuple(map(ends.get, range(len(pairs.signs)))) if ends else None
 
 

@@ -119,7 +119,7 @@ def _walk(
         walkers, nodes = walkers[lives], nodes[lives]
         if not len(walkers):
             break
-        starts = [results.snapshots[walker, 0] for walker in walkers.tolist()]
+        starts = [results.snapshots[walker, 0][0] for walker in walkers.tolist()]
         states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
         places, positions, is_upright, is_success = search.decode(states)
         progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())

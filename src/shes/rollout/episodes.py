@@ -129,8 +129,8 @@ class EpisodeTask:
     """Initial state of these episodes; None for a reset."""
     kept_slot: int | None = None
     """Slot of the episode whose end is kept as a snapshot, if it ends at the time limit."""
-    snapshot_steps: tuple[int, ...] = ()
-    """Number of control steps before the snapshot of each episode. An episode that ends earlier has none."""
+    snapshot_steps: tuple[tuple[int, ...], ...] = ()
+    """Numbers of control steps before the snapshots of each episode. It has those before its end."""
 
     def part(self, start: int, stop: int) -> EpisodeTask:
         """Return the task of episodes `start` to `stop`, in the same slots. It costs the matmul of the whole task."""
@@ -146,8 +146,8 @@ class EpisodeResults:
     """Outcome of each episode [K]."""
     moments: tuple[Moments, ...] | None
     """Moments of the observations of each level, if recorded."""
-    snapshots: list[Snapshot | None] = field(default_factory=list)
-    """Snapshot of each episode [K], or None."""
+    snapshots: list[tuple[Snapshot, ...]] = field(default_factory=list)
+    """Snapshots of each episode [K]."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds that the worker spent on each of `PARTS` since its previous result."""
     log: tuple[str, ...] = ()

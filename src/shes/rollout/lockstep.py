@@ -35,43 +35,44 @@ class SnapshotRecorder:
     def __init__(self, batch: EpisodeBatch, agent: AgentBatch[Any], num_goals: int) -> None:
         """Record states of `batch` and, from then on, `num_goals` goals of `agent`."""
         self._batch, self._agent, self._num_goals = batch, agent, num_goals
-        self._interval = agent.design.controller_interval
-        rows = batch.num_episodes
-        self._wanted: IntArray = np.zeros(rows, dtype=np.int64)  # steps after which to record each row
-        self._goals: F64Array = np.zeros((rows, num_goals, 2))
-        self._states: dict[int, F64Array] = {}
+        self._wanted: dict[int, tuple[int, ...]] = {}  # steps after which to record each row
+        self._states: dict[int, dict[int, F64Array]] = {}  # by steps
+        self._goals: dict[int, list[F64Array]] = {}  # of all decisions
 
     def begin(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
         """Store when to record the episodes of tasks that have `started`, by lane."""
         for lane, (_, task) in started.items():
             for slot, steps in zip(task.slots, task.snapshot_steps, strict=True):
-                self._wanted[lane * self._agent.rows_per_lane + slot] = steps
+                row = lane * self._agent.rows_per_lane + slot
+                self._wanted[row], self._states[row], self._goals[row] = steps, {}, []
 
     def take(self, is_running: BoolArray, steps: IntArray) -> None:
-        """Record the states and goals that are due, after the agents have decided and before the physics step.
+        """Record states and goals at decisions, after the agents have decided and before the physics step.
 
         `steps` [N] are the control steps of each row so far.
         """
-        number, rest = np.divmod(steps - self._wanted, self._interval)
-        due = np.flatnonzero(is_running & (rest == 0) & (number >= 0) & (number < self._num_goals))
-        if not len(due):
-            return
-        first = due[number[due] == 0]
-        if len(first):
-            self._states.update(zip(first.tolist(), self._batch.states(first), strict=True))
+        due = np.flatnonzero(is_running & (steps % self._agent.design.controller_interval == 0))
+        wanted = np.array([row for row in due.tolist() if int(steps[row]) in self._wanted[row]], dtype=np.int64)
+        if len(wanted):
+            for row, state in zip(wanted.tolist(), self._batch.states(wanted), strict=True):
+                self._states[row][int(steps[row])] = state
         ids, goal = self._batch.xp.asarray(due), self._agent.goal
         assert goal is not None, "only an agent with goals leaves snapshots"
-        for row, vector in zip(due.tolist(), to_host(goal[ids] - self._batch.position[ids]), strict=True):
-            self._goals[row, number[row] :] = vector  # in place of later goals, too, until they are set
+        if len(due):
+            for row, vector in zip(due.tolist(), to_host(goal[ids] - self._batch.position[ids]), strict=True):
+                self._goals[row].append(vector)
 
-    def of(self, row: int) -> Snapshot | None:
-        """Return the snapshot of the episode in `row`, which has ended; None if it ended before the snapshot was due.
+    def of(self, row: int) -> tuple[Snapshot, ...]:
+        """Return the snapshots of the episode in `row`, which has ended, but for those that were not due by then.
 
         Goals after the end of the episode are copies of its last goal.
         """
-        if row not in self._states:
-            return None
-        return Snapshot(state=self._states.pop(row), steps=int(self._wanted[row]), goals=self._goals[row].copy())
+        goals, states, interval = self._goals[row], self._states[row], self._agent.design.controller_interval
+        found = list[Snapshot]()
+        for steps in filter(states.__contains__, self._wanted[row]):
+            places = np.minimum(steps // interval + np.arange(self._num_goals), len(goals) - 1)
+            found.append(Snapshot(state=states[steps], steps=steps, goals=np.array(goals)[places]))
+        return tuple(found)
 
 
 NumberedTask = tuple[int, EpisodeTask]
@@ -167,7 +168,7 @@ class Rollout:
             results = EpisodeResults(
                 outcomes=empty_outcomes(len(sizes), count),
                 moments=tuple(Moments.zeros(count, size) for size in sizes) if task.records_statistics else None,
-                snapshots=[None] * count,
+                snapshots=[()] * count,
             )
             states += [None if task.start is None else task.start.state] * count
             self._lanes[place] = _Lane(number=number, task=task, running=set(range(count)), results=results)
@@ -243,7 +244,7 @@ class Rollout:
             has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
             if lane.task.kept_slot == slot and not has_ended_early:
                 steps = int(self._steps[row]) + (0 if lane.task.start is None else lane.task.start.steps)
-                results.snapshots[k] = Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps)
+                results.snapshots[k] = (Snapshot(state=self.batch.states(rows[i : i + 1])[0], steps=steps),)
             if self._recorder is not None:
                 results.snapshots[k] = self._recorder.of(row)
             lane.running.discard(k)

@@ -72,8 +72,8 @@ class PopulationResults:
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds spent on each of `PARTS`, summed over workers."""
     log: list[str] = field(default_factory=list)
-    snapshots: dict[tuple[int, int], Snapshot] = field(default_factory=dict)
-    """Snapshots by member and episode, in the order of the tasks."""
+    snapshots: dict[tuple[int, int], tuple[Snapshot, ...]] = field(default_factory=dict)
+    """Snapshots by member and episode, in the order of the tasks; episodes without any are left out."""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         if name.startswith("_") or name == "outcomes" or name not in (self.outcomes.dtype.names or ()):
@@ -101,9 +101,9 @@ class PopulationResults:
         self.outcomes[place] = result.outcomes
         self.seconds[:] += result.seconds
         self.log.extend(result.log)
-        for member, episode, snapshot in zip(*place, result.snapshots, strict=False):
-            if snapshot is not None:
-                self.snapshots[int(member), int(episode)] = snapshot
+        for member, episode, snapshots in zip(*place, result.snapshots, strict=False):
+            if snapshots:
+                self.snapshots[int(member), int(episode)] = snapshots
         for level, new in enumerate(result.moments or ()):
             for count, *sums in zip(new.count.tolist(), new.total, new.total_squares, strict=True):
                 self.statistics[level] = self.statistics[level].merge(count, *sums)
