@@ -42,7 +42,7 @@ def color_of(group: str, variant: str, others: Sequence[str] = ()) -> str:
     if known is None:
         place = (1 + others.index(variant)) / (1 + len(others)) if variant in others else 0.5
         return to_hex(colormaps["viridis"](place))
-    return to_hex(np.sqrt(to_rgb(known))) if workers not in ("", "1") else known
+    return to_hex(tuple(part**0.5 for part in to_rgb(known))) if workers not in ("", "1") else known
 
 
 def draw_figures(results: PlacedResults, out: Path) -> list[Path]:
