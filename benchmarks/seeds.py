@@ -6,8 +6,8 @@
 Every run can be interrupted at any time: the same command goes on, with several workers or runs at once. The
 tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and
 rows for the best of nine constant controllers and for random goals on the same primitive; on a shipped walker, which
-all seeds share, these two once. Where the learning rate falls to its end, the last checkpoint takes the place of the
-best one.
+all seeds share, these two once. From scratch with a learning rate that falls, the last checkpoint takes the place of
+the best one.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ CONTROLLERS = ("trained", "constant", "random")
 WALKERS = {"gather": "ant-walker", "maze": "ant-walker", "push": "ant-walker-stiff", "fall": "ant-walker-stiff"}
 """The shipped walker of each task."""
 _PLAIN: dict[str, Any] = {"fitness_shaping": "centred_rank", "learning_rate": 0.05, "learning_rate_end": None}
+_PLAIN |= {"schedule_generations": 1000}
 FROZEN: dict[str, dict[str, Any]] = {
     "gather": {"generations": 75, "evaluation_interval": 15},
     "maze": {**_PLAIN, "generations": 60, "evaluation_interval": 10},

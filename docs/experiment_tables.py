@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from statistics import fmean
 
+import numpy as np
 from markdown_table import table
 
 PAGE = Path(__file__).parent / "experiments.md"
@@ -104,8 +105,8 @@ def steps() -> str:
         for form in forms:
             group = "methods" if form in ("published", "pieces") else "steps"
             row = compared[f"{body.lower()}-gather", group, form, *(("", "") if form == "published" else _BASE)]
-            lines.append((body, STEPS[form], _score(row), _p(row["p_holm"])))
-    return table(("body", "added", "score", "p"), _once(lines))
+            lines.append((body, STEPS[form], _score(row)))
+    return table(("body", "added", "score"), _once(lines))
 
 
 def workers() -> str:
@@ -128,10 +129,13 @@ def speedups() -> str:
     lines = []
     for name, words in SPEEDUPS.items():
         cells = [f"{float(found[name, 'measured', 2]['speedup']):.2f}"]
-        for cores, asleep in ((48, 200), (240, 200), (600, 600)):
+        times = [
+            [float(found[name, kind, n]["generation_s"]) for n in (200, 600)] for kind in ("asleep", "projected asleep")
+        ]
+        slower = [1.0, *(asleep / projected for asleep, projected in zip(*times, strict=True))]
+        for cores in (48, 240, 600):
             most = float(found[name, "projected", cores]["speedup"])
-            times = (float(found[name, kind, asleep]["generation_s"]) for kind in ("projected asleep", "asleep"))
-            cells.append(f"{most * next(times) / next(times):.0f} to {most:.0f}")
+            cells.append(f"{most / np.interp(cores, (1, 200, 600), slower):.0f} to {most:.0f}")
         lines.append((words, *cells))
     return table(("method", "2 cores, measured", "48, projected", "240", "600"), lines)
 

@@ -36,8 +36,8 @@ _SPAN: dict[str, Any] = {"linewidth": 1, "linestyle": ":", "marker": "|"}
 _WIDE = 0.3
 """Mean width of a band, relative to the panel, beyond which its seeds are drawn instead."""
 _NAME: dict[str, Any] = {"fontsize": 8, "va": "center", "clip_on": False}
-_CHARACTERS, _ROW = 17, 0.062
-"""Most characters of a line of a name, and its height relative to the panel."""
+_CHARACTERS, _ROW_INCHES = 17, 0.18
+"""Most characters of a line of a name, and its height."""
 
 _Name = tuple[float, str, str]
 """Ordinate, words and colour of a name at the right edge."""
@@ -70,10 +70,10 @@ class Panel(NamedTuple):
 
 
 def draw_curves(
-    results: PlacedResults, panels: Sequence[Panel], columns: int, references_note: str = "published results"
+    results: PlacedResults, panels: Sequence[Panel], columns: int, references_note: str = ""
 ) -> Figure | None:
     """Return a figure with the panels of which there are results, `columns` in a row."""
-    panels = [each for each in panels if any((each.env, *curve[:2]) in results.runs for curve in each.curves)]
+    panels = [each for each in panels if any(_runs(results, each, curve) for curve in each.curves)]
     groups = {curve.group for panel in panels for curve in panel.curves}
     if not panels or not results.has(*groups):
         return None
@@ -105,7 +105,8 @@ def _draw_panel(axis: Axes, results: PlacedResults, panel: Panel) -> list[MeanCu
         words = curve.words or results.experiment.label(curve.variant)
         scaled = [(x / unit, y, start / unit) for x, y, start in runs]
         means.append(_draw_curve(axis, scaled, color, words, height, has_running_best=panel.has_running_best))
-        names.append((float(np.mean([y[-1] for _, y, _ in runs])), words, color))
+        own = means[-1]
+        names.append((float(np.mean([y[-1] for _, y in own.singles]) if own.is_apart else own.mean[-1]), words, color))
     for words, value in panel.references.items():
         axis.axhline(value, **_REFERENCE, label=words)
         names.append((value, words, _REFERENCE["color"]))
@@ -121,11 +122,12 @@ def _draw_panel(axis: Axes, results: PlacedResults, panel: Panel) -> list[MeanCu
     return means
 
 
-def write_names(axis: Axes, names: Sequence[_Name]) -> None:
-    """Write names at the right edge, as near to their ordinates as they can be without touching each other."""
-    to_axis = axis.transScale + axis.transLimits
+def write_names(axis: Axes, names: Sequence[_Name], inches: float = _PANEL_INCHES) -> None:
+    """Write names at the right edge of an axis `inches` high, near their ordinates, without touching each other."""
+    axis.autoscale_view()
+    to_axis, row = axis.transScale + axis.transLimits, _ROW_INCHES / inches
     wrapped = sorted((to_axis.transform((1, y))[1], textwrap.fill(words, _CHARACTERS), c) for y, words, c in names)
-    halves = np.array([_ROW * (1 + words.count("\n")) / 2 for _, words, _ in wrapped])
+    halves = np.array([row * (1 + words.count("\n")) / 2 for _, words, _ in wrapped])
     packed = np.r_[0.0, (halves[:-1] + halves[1:]).cumsum()]  # places of names that touch each other
     places = np.maximum.accumulate(np.array([y for y, _, _ in wrapped]) - packed) + packed
     places = np.minimum(places, 1 - halves[-1] + packed - packed[-1])

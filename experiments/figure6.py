@@ -132,7 +132,7 @@ def speedup_figure(rows: list[Row]) -> Figure:
         axis.fill_between(x, y / np.interp(x, *slowdown(rows, variant)), y, color=color, alpha=0.2, linewidth=0)
         names.append((float(y[-1]), LABELS[variant], color))
     axis.set(xscale="log", yscale="log", xlabel="cores", ylabel="speed-up", title=rows[0]["env"])
-    write_names(axis, names)
+    write_names(axis, names, 0.55 * WIDTH)
     grey = [Line2D([], [], color="grey", **look) for look in _MARKS.values()]
     axis.legend(grey, list(_MARKS), frameon=False)
     axis.spines[["top", "right"]].set_visible(False)

@@ -55,6 +55,8 @@ _NO_SEARCH = {
     "controller_output": "vector",
 }
 """Settings of the point's Maze and Push without what preset `laptop` has there besides."""
+_CONSTANT = {"fitness_shaping": "centred_rank", "learning_rate": 0.05, "learning_rate_end": None}
+"""Settings of the ant's Maze and Push without what the preset has there besides."""
 _POINT_ALONE = {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03}
 """With the changes, for the point's primitive that is trained alone."""
 _PIECES = (
@@ -129,14 +131,14 @@ class Scale:
             return {**self.form(body, task, PUBLISHED), **{name: changed[name] for name in names}}
         is_alone = (body, task, form) == ("point", "flagrun", PIECES)
         settings = dict(_POINT_ALONE if is_alone else _FORMS[body, form])
-        if (body, form) == ("point", PIECES) and task in ("maze", "push"):
-            settings |= _NO_SEARCH
+        if form == PIECES and task in ("maze", "push"):
+            settings |= _NO_SEARCH if body == "point" else {**_CONSTANT, "primitive_learning_rate": 0.015}
         if self.preset == "paper" and form == PUBLISHED:
             settings = {}
         elif self.preset != "laptop" and (body, form) == ("ant", PIECES):
             laptop = self._laptop(body, task)
             names = (*_PIECES, *_OF_BRANCHES_ALONE) if task == "flagrun" else _PIECES
-            settings = {name: laptop[name] for name in names if laptop.get(name) is not None}
+            settings = {name: value for name in names if (value := {**laptop, **settings}.get(name)) is not None}
             if settings.get("controller_network") == "equivariant":  # its layers are sized by sector
                 networks = make_config(f"{body}-{task}", self.preset).values
                 settings |= {"hidden": laptop["hidden"], "primitive_hidden": networks["hidden"]}

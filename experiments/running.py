@@ -36,12 +36,7 @@ from shes.storage import storage_errors
 
 
 def run_experiment(
-    experiment: Experiment,
-    out: Path,
-    *,
-    say: Callable[[str], None],
-    num_workers: int = 0,
-    backend: str = "processes",
+    experiment: Experiment, out: Path, *, say: Callable[[str], None], num_workers: int = 0, backend: str = "processes"
 ) -> dict[str, str]:
     """Make the unfinished runs of `experiment`, and the tables after each; return the errors of those that failed.
 

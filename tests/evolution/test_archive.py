@@ -91,8 +91,8 @@ def test_a_search_ends_slices_after_its_last_shorter_way():
         for number in range(1, PATIENCE):
             archive = archive.after_slice()
             assert (archive.stalled, archive.is_over) == (number, False)
-    archive = archive.after_slice()
-    assert (archive.is_over, archive.states.shape, len(archive.cells)) == (True, (0, 3), 2)
+    goes_on, archive = (archive.after_slice(steps) for steps in (19, 20))
+    assert (goes_on.is_over, archive.is_over, archive.states.shape, len(archive.cells)) == (False, True, (0, 3), 2)
 
 
 def test_news_of_a_search_are_told_once():

@@ -123,7 +123,7 @@ class Archive:
         starts = grown.states[np.isin(grown.nodes, way[1:-1])]  # success and reset are left out
         return replace(grown, way=self.positions[way[::-1]], way_steps=int(steps[shortest]), starts=starts, stalled=-1)
 
-    def after_slice(self) -> Archive:
+    def after_slice(self, longest: float = np.inf) -> Archive:
         """Return the archive after a slice of the search: without nodes that lead nowhere, or without states."""
         is_used = np.zeros(len(self.parents), dtype=np.bool_)
         is_used[0], ends = True, self.nodes
@@ -135,7 +135,7 @@ class Archive:
         stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
         used = {"nodes": number[self.nodes], "parents": parents, "positions": self.positions[is_used]}
         after = replace(self, **used, stalled=stalled)
-        return after.over() if stalled >= PATIENCE else after
+        return after.over() if stalled >= PATIENCE and self.way_steps <= longest else after
 
     def news(self, before: Archive) -> list[str]:
         """Return in words what has happened since `before`."""

@@ -27,10 +27,7 @@ SLICE_STEPS = 32_000
 SLICES = 10
 """Slices in a generation in which nothing else can be learned."""
 MIN_SPEED_M_S = 0.15
-"""Mean speed of the first walkers towards their goals with which a search begins.
-
-The shipped walkers have 0.71 in Maze, 0.57 in Push and, between the walls of Fall, 0.25; an untrained ant has 0.005.
-"""
+"""Mean speed of the first walkers towards their goals with which a search begins. An untrained ant has 0.005."""
 _DECISIONS = 5
 
 
@@ -51,6 +48,8 @@ class WaySearch:
     """Distance of the primitive's goals in metres."""
     slices: int = 1
     """Most slices in a generation until a way is known; later it is one."""
+    longest: float = np.inf
+    """Control steps of a longer way, with which the search does not end."""
     has_starts: bool = False
     """Whether half of the groups of whole episodes begin on the way."""
 
@@ -79,7 +78,7 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
             break
         while archive.env_steps < last_step:
             archive, _ = _walk(archive, search, generation, rng, backend)
-        archive = archive.after_slice()
+        archive = archive.after_slice(search.longest)
         if archive.way_steps:
             break
     num_steps = archive.env_steps - state.archive.env_steps

@@ -52,15 +52,15 @@ class SnapshotRecorder:
         `steps` [N] are the control steps of each row so far.
         """
         due = np.flatnonzero(is_running & (steps % self._agent.design.controller_interval == 0))
+        if not len(due):
+            return
         wanted = np.array([row for row in due.tolist() if int(steps[row]) in self._wanted[row]], dtype=np.int64)
-        if len(wanted):
-            for row, state in zip(wanted.tolist(), self._batch.states(wanted), strict=True):
-                self._states[row][int(steps[row])] = state
+        for row, state in zip(wanted.tolist(), self._batch.states(wanted), strict=True):
+            self._states[row][int(steps[row])] = state
         ids, goal = self._batch.xp.asarray(due), self._agent.goal
         assert goal is not None, "only an agent with goals leaves snapshots"
-        if len(due):
-            for row, vector in zip(due.tolist(), to_host(goal[ids] - self._batch.position[ids]), strict=True):
-                self._goals[row].append(vector)
+        for row, vector in zip(due.tolist(), to_host(goal[ids] - self._batch.position[ids]), strict=True):
+            self._goals[row].append(vector)
 
     def of(self, row: int) -> tuple[Snapshot, ...]:
         """Return the snapshots of the episode in `row`, which has ended, but for those that were not due by then.
