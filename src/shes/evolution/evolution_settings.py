@@ -274,8 +274,8 @@ SHES_PRESETS: Mapping[str, Preset] = {
             },
             "ant-gather": _ANT_TO_FOOD,
             "ant-maze": {**_ANT_TO_TARGET, "target": (0.0, 16.0)},  # that of evaluation: a search needs one target
-            "ant-push": _ANT_TO_TARGET,
-            "ant-fall": {**_ANT_TO_TARGET, "explore_horizon": 2500},
+            "ant-push": {**_ANT_TO_TARGET, "learning_rate": 0.015},  # on stiff contacts more leads to falls
+            "ant-fall": {**_ANT_TO_TARGET, "learning_rate": 0.015, "explore_horizon": 2500},
             "flagrun": {
                 **_ROBOT_WALKER,
                 "hidden": (),
