@@ -96,7 +96,7 @@ class Run:
         if self.primitive is not None:
             settings = {name: value for name, value in settings.items() if not name.startswith("explore")}
             if self.settings.get("freeze_primitive", True):
-                settings |= {"primitive_estimate": "episode", "mirrored": "pair"}  # in pairs: one level learns
+                settings["primitive_estimate"] = "episode"
         return make_config(self.env, self.preset, settings)
 
 

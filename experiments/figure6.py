@@ -38,13 +38,12 @@ PAPER_SECONDS: Mapping[str, Mapping[int, float]] = {
     FLAT: {1: 6345, 24: 523, 48: 310, 72: 199, 120: 148, 240: 84.6},
 }
 """Raw times of the authors' code by cores, in seconds: SHES on Ant Maze with threads, S-ES over MPI."""
-
 _MARKS: Mapping[str, dict[str, Any]] = {
     "projected, down to what sleeping workers reached": {},
     "measured": {"linestyle": "", "marker": "o"},
     "authors' code": {"linestyle": "", "marker": "x"},
 }
-"""What is drawn in the colour of each method, in words."""
+"""Entries of the legend, which are the same for all methods, and how they are drawn."""
 
 
 def measured_runs(scale: str) -> list[Run]:
