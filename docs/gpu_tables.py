@@ -29,7 +29,8 @@ def speeds() -> str:
     ]
     for row in _rows("generations"):
         policies, seconds = int(row["policies"]), float(row["generation_s"])
-        words = f"a generation of {policies} × {row['episodes']} episodes: {seconds:.1f} s"
+        option = " with `--deterministic`" if row["deterministic"] == "True" else ""
+        words = f"a generation of {policies} × {row['episodes']} episodes{option}: {seconds:.1f} s"
         rows.append((row["card"], words, _thousands(float(row["env_steps_per_s"]))))
     return table(("card", "Ant Gather", "environment steps per second"), rows, ("environment steps per second",))
 
