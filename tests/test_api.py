@@ -34,6 +34,13 @@ def test_nothing_slow_is_imported_before_it_is_needed():
         assert found & no_face == set()
 
 
+def test_events_are_written_without_an_installed_pytorch(tmp_path):
+    (tmp_path / "torch.py").touch()
+    opened = f"import pathlib; sys.path.append({str(tmp_path)!r}); from shes.runs.tables import Events"
+    (found,) = loaded_by(f"{opened}; Events(pathlib.Path({str(tmp_path / 'events')!r}), 0, {{}})")
+    assert found & {"tensorboardX", "torch"} == {"tensorboardX"}
+
+
 def test_the_face_has_what_it_says():
     for name in shes.__all__:
         assert getattr(shes, name) is not None
@@ -161,8 +168,11 @@ def test_a_thread_leaves_no_process_and_a_run_that_goes_on(tmp_path, run):
     assert runs.differences(run.path, path) == []
 
 
-def test_an_unknown_mujoco_gl_is_named_with_what_to_do():
+@pytest.mark.parametrize("code", ["exit(main(['list']))", "gymnasium.make('shes/PointGather-v0', render_mode='rgb_array')"])
+def test_an_unknown_mujoco_gl_is_named_with_what_to_do(code):
+    command = [sys.executable, "-c", f"import gymnasium, shes; from shes.cli import main; {code}"]
     environment = {**os.environ, "MUJOCO_GL": "nonsense"}
-    done = subprocess.run([*runs.COMMAND, "list"], env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert re.search(r"MUJOCO_GL=nonsense \(.*\)\. Unset MUJOCO_GL to let SHES choose, or set", done.stderr)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2 if "list" in code else 1, "")
+    *_, last = done.stderr.splitlines()
+    assert re.search(r"MUJOCO_GL=nonsense \(.*\)\. Unset MUJOCO_GL to let SHES choose, or set", last)

@@ -11,13 +11,10 @@ agent = shes.load(run.path)
 from __future__ import annotations
 
 import importlib
-import os
-import traceback
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from shes.envs.gymnasium_ids import register_known
-from shes.errors import ConfigError
+from shes.errors import import_module
 
 if TYPE_CHECKING:
     __version__: str
@@ -59,21 +56,6 @@ _HOMES = {
 """Names by module. They are imported on first access: worker processes import this package, too, but need none."""
 
 register_known()  # entry points are strings: MuJoCo is imported when the first environment is made
-
-
-def import_module(name: str) -> ModuleType:
-    """Import a module of this package; raise ConfigError if MuJoCo cannot be imported with the value of MUJOCO_GL."""
-    try:
-        return importlib.import_module(name)
-    except Exception as error:
-        asked, frames = os.environ.get("MUJOCO_GL"), traceback.walk_tb(error.__traceback__)
-        packages = {str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames}
-        if not asked or ("MUJOCO_GL" not in str(error) and "OpenGL" not in packages):
-            raise
-        raise ConfigError(
-            f"MuJoCo cannot be imported with MUJOCO_GL={asked} ({error}). Unset MUJOCO_GL to let SHES choose, or set "
-            "it to another of egl, osmesa, off."
-        ) from error
 
 
 def __getattr__(name: str) -> Any:

@@ -6,9 +6,12 @@ A message says what is wrong, the value received, what is allowed (the nearest n
 from __future__ import annotations
 
 import difflib
+import importlib
+import os
 import sysconfig
 import traceback
 from collections.abc import Iterable
+from types import ModuleType
 
 
 class ShesError(Exception):
@@ -96,3 +99,18 @@ def nearest_first(name: str, known: Iterable[str]) -> list[str]:
     ordered = sorted(known)
     close = difflib.get_close_matches(name, ordered, n=3)
     return close + [other for other in ordered if other not in close]
+
+
+def import_module(name: str) -> ModuleType:
+    """Import a module; raise ConfigError if MuJoCo cannot be imported with the value of MUJOCO_GL."""
+    try:
+        return importlib.import_module(name)
+    except Exception as error:
+        asked, frames = os.environ.get("MUJOCO_GL"), traceback.walk_tb(error.__traceback__)
+        packages = {str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames}
+        if not asked or ("MUJOCO_GL" not in str(error) and "OpenGL" not in packages):
+            raise
+        raise ConfigError(
+            f"MuJoCo cannot be imported with MUJOCO_GL={asked} ({error}). Unset MUJOCO_GL to let SHES choose, or set "
+            "it to another of egl, osmesa, off."
+        ) from error

@@ -14,12 +14,6 @@ def test_an_interval_is_that_of_students_t(runs):
     np.testing.assert_allclose(confidence_interval(values), (low, high), rtol=1e-7)
 
 
-@pytest.mark.parametrize("runs", [1, 3])
-def test_runs_that_agree_and_a_single_one_have_no_width(runs):
-    low, high = confidence_interval(np.full((runs, 2), 1.5))
-    assert low.tolist() == high.tolist() == [1.5, 1.5]
-
-
 def line(start, end, value=1.0, points=5):
     return np.linspace(start, end, points), np.full(points, value)
 

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import Any
 
 import shes
-from shes.errors import ConfigError, ShesError, UnknownNameError
+from shes.errors import ConfigError, ShesError, UnknownNameError, import_module
 from shes.machine import free_memory
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -108,7 +108,7 @@ def _run(words: Sequence[str]) -> int:
     if name.startswith("-"):
         raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
     function = find_command(name)
-    return shes.import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
+    return import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
 
 
 def find_command(name: str) -> Callable[..., Any]:
@@ -116,7 +116,7 @@ def find_command(name: str) -> Callable[..., Any]:
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS, "See `shes --help`.")
     module, _, function = COMMANDS[name][0].rpartition(".")
-    return getattr(shes.import_module(f"shes.{module}"), function)
+    return getattr(import_module(f"shes.{module}"), function)
 
 
 def _import_registering(name: str | None) -> None:

@@ -106,14 +106,10 @@ def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, floa
     return boxes
 
 
-def _robot_cell(grid: Grid) -> tuple[int, int]:
-    row = next(i for i, cells in enumerate(grid) if "r" in cells)
-    return row, grid[row].index("r")
-
-
 def _center(grid: Grid, i: int, j: int) -> tuple[float, float]:
     """Return the centre (x, y) in metres of the cell in row `i`, column `j`."""
-    row, column = _robot_cell(grid)
+    row = next(i for i, cells in enumerate(grid) if "r" in cells)
+    column = grid[row].index("r")
     return (j - column) * CELL_SIZE_M, (i - row) * CELL_SIZE_M
 
 

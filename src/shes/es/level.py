@@ -189,8 +189,8 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
         return LevelUpdate(level=level, gradient_norm=0.0, update_ratio=0.0)
     indices, middle = noise_index[active], len(weights) // 2
     places = slice(None, middle), slice(middle, None)
-    halves = [weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool) for half in places]
-    gradient = halves[0] + halves[1]
+    one, other = [weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool) for half in places]
+    gradient = one + other
     norm = _length(gradient)
     if rule.weight_decay:
         gradient -= np.float32(rule.weight_decay) * level.theta
@@ -198,7 +198,7 @@ def update_level(  # noqa: PLR0917 - the terms of a formula
     return LevelUpdate(
         level=replace(level, theta=level.theta + step, optimizer=optimizer),
         gradient_norm=norm,
-        halves_cosine=_cosine(*halves),
+        halves_cosine=_ratio(float((one.astype(np.float64) * other).sum()), _length(one) * _length(other)),
         update_ratio=_ratio(_length(step), _length(level.theta)),
     )
 
@@ -207,11 +207,6 @@ def _length(vector: F32Array) -> float:
     """Return the Euclidean length of `vector` [D], without BLAS: bit-identical for any number of threads."""
     wide = vector.astype(np.float64)
     return float(np.sqrt((wide * wide).sum()))
-
-
-def _cosine(a: F32Array, b: F32Array) -> float:
-    """Return the cosine between `a` and `b` [D], or NaN if one of them is zero."""
-    return _ratio(float((a.astype(np.float64) * b).sum()), _length(a) * _length(b))
 
 
 def _ratio(part: float, whole: float) -> float:

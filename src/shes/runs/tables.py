@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -129,9 +130,14 @@ class Events:
 
         The hyperparameters are written at generation 0 alone.
         """
+        # It would import PyTorch, which takes seconds and 600 MB, only to recognise its tensors.
+        sys.modules.setdefault("torch", None)  # type: ignore[arg-type] - "not installed"
         from tensorboardX.event_file_writer import EventsWriter  # slow to import
         from tensorboardX.proto.event_pb2 import Event, SessionLog  # type: ignore[attr-defined] - made when imported
         from tensorboardX.summary import hparams, scalar
+
+        if sys.modules["torch"] is None:
+            del sys.modules["torch"]
 
         self._folder, self._event, self._scalar = folder, Event, scalar
         with storage_errors(folder):

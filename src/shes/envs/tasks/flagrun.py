@@ -137,9 +137,8 @@ class Flagrun(Task):
         np.sqrt(self._distance, out=self._distance)
 
     def _draw_offset(self, rng: Any) -> tuple[float, float]:
-        half_width = self.options.goal_distance
         while True:
-            x, y = rng.uniform(-half_width, half_width, 2).tolist()
+            x, y = rng.uniform(-self.options.goal_distance, self.options.goal_distance, 2).tolist()
             if x * x + y * y >= NEAR_M**2:
                 return x, y
 
