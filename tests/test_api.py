@@ -168,7 +168,7 @@ def test_a_thread_leaves_no_process_and_a_run_that_goes_on(tmp_path, run):
     assert runs.differences(run.path, path) == []
 
 
-@pytest.mark.parametrize("code", ["exit(main(['list']))", "gymnasium.make('shes/PointGather-v0', render_mode='rgb_array')"])
+@pytest.mark.parametrize("code", ["exit(main(['list']))", "gymnasium.make('shes/PointGather-v0')"])
 def test_an_unknown_mujoco_gl_is_named_with_what_to_do(code):
     command = [sys.executable, "-c", f"import gymnasium, shes; from shes.cli import main; {code}"]
     environment = {**os.environ, "MUJOCO_GL": "nonsense"}
