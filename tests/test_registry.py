@@ -20,9 +20,7 @@ class Bird(Animal):
     legs = 2
 
 
-class Weightless(Dog):
-    def __init__(self, name):
-        super().__init__(name)
+Weightless = type("Weightless", (Dog,), {"__init__": lambda _self, _name: None})
 
 
 @pytest.fixture
@@ -42,8 +40,6 @@ def test_a_registry_is_a_mapping_in_the_order_of_registration(animals):
     del animals["bird"]
     assert "bird" not in animals
     animals["bird"] = Bird
-    with pytest.raises(ConfigError):
-        animals["dog"] = Bird
 
 
 def test_a_class_defined_again_replaces_the_first(animals):

@@ -9,7 +9,6 @@ import pytest
 
 from tests.envs.episodes import make_task
 
-NEVER = 10_000
 PUSH_OVER = [(8, 0), (8, 13, 60)]
 """The last place is in the block, which the far platform holds: the point presses it against that for a while."""
 SOLUTIONS = {
@@ -19,8 +18,6 @@ SOLUTIONS = {
 }
 """Scripts that solve a task, and the fewest and most steps that they take."""
 NUM_EPISODES = 5
-REACHED_M = 0.6
-"""A place is reached when it is nearer."""
 
 
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
@@ -30,13 +27,13 @@ def test_a_script_solves_the_task(name, spec):
     task, ids = make_task(name, NUM_EPISODES, evaluation=True, spec=spec), np.arange(NUM_EPISODES)
     task.reset(ids, ids)
     places = np.array([place[:2] for place in script], dtype=float)
-    patience = np.array([place[2] if len(place) > 2 else NEVER for place in script])
+    patience = np.array([place[2] if len(place) > 2 else 10_000 for place in script])
     current, begun, solved_at = (np.zeros(NUM_EPISODES, dtype=int) for _ in range(3))
     for step in range(1, most + 1):
         # Less thrust near the place, and damped.
         thrust = 1.5 * (places[current] - task.position) - 0.3 * task.sim.qvel[:, :2]
         task.step(ids, np.clip(thrust, -1, 1) * task.control_limit)
-        is_there = np.linalg.norm(places[current] - task.position, axis=1) < REACHED_M
+        is_there = np.linalg.norm(places[current] - task.position, axis=1) < 0.6
         goes_on = (is_there | (step - begun >= patience[current])) & (current < len(places) - 1)
         current, begun = current + goes_on, np.where(goes_on, step, begun)
         solved_at[task.success & (solved_at == 0)] = step

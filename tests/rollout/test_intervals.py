@@ -11,7 +11,7 @@ from shes.backends.backend import SerialBackend
 from shes.es.level import draw_noise_index
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.estimates import EvolutionSettings, IntervalEstimate, draw_episodes, draw_pairs
-from shes.rollout.episodes import Snapshot
+from shes.rollout.episodes import Snapshot, wander
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
@@ -33,24 +33,31 @@ ALONE = replace(BESIDE, updates=SETTINGS.updates[:1], learns=(True,))
 # What is drawn --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [None, 0, 4, 40])
-def test_pairs_are_drawn_from_a_stream_of_their_own(number):
-    """Snapshots are used evenly; without any, goals are drawn. All pairs of one task share noise, seed and start."""
-    left, before, state, settings, generation = None, (), formula_state(), BESIDE, 2
+@pytest.mark.parametrize(
+    ("number", "way_steps", "going"),
+    [(None, None, 6), (0, None, 6), (4, None, 0), (40, None, 0), (4, 0, 6), (4, 300, 3), (40, 300, 3), (0, 300, 6)],
+)
+def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, going):
+    """Snapshots are used evenly; a search has running episodes, too. Pairs of a task share noise, seed and start."""
+    left, before, state, settings, generation = [], (), formula_state(), BESIDE, 2
+    ends = [Snapshot(state=np.full(4, -1.0), steps=10), None] * 3
     if number is None:
         state, settings = replace(state, levels=state.levels[1:]), ALONE
     else:
         left = [Snapshot(state=np.full(4, float(n)), steps=STEPS * n, goals=np.ones((2, 2))) for n in range(number)]
         before = (SimpleNamespace(results=SimpleNamespace(snapshots={0: left[:1], 1: left[1:]})),)
-    draws = draw_pairs(replace(state, generation=generation), settings, 1000, before)
+    archive = None if way_steps is None else SimpleNamespace(way_steps=way_steps)
+    state = replace(state, generation=generation, archive=archive, running=tuple(ends))
+    draws = draw_pairs(state, settings, 1000, before)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(8, generation))))
     seeds, kept = rng.integers(0, 2**63, PAIRS).tolist(), rng.integers(0, 2, PAIRS).tolist()
-    starts = [None] * PAIRS
-    if left:
+    starts = ends[:going]
+    if before:
+        goals = [[(4 * np.cos(angle), 4 * np.sin(angle)) for angle in own] for own in wander(rng, 2, going).T]
+        resets = [end or Snapshot(state=None, steps=0) for end in starts]
+        starts = [replace(end, goals=np.array(own)) for end, own in zip(resets, goals, strict=True)]
         order = rng.permutation(number)
-        starts = [left[order[group % number]] for group in range(PAIRS)]
-    elif left is not None:
-        starts = [Snapshot(state=None, steps=0, goals=goals) for goals in rng.uniform(-4, 4, (PAIRS, 2, 2))]
+        starts += [left[order[group % number]] for group in range(PAIRS - going)]
     # The primitive's noise is that of its level: neither level's says anything of the other's.
     noise = draw_noise_index(3, generation, PAIRS, [len(level.theta) for level in state.levels], 1000)[-1]
     assert draws.noise_index.tolist() == [noise.tolist()]
@@ -59,7 +66,7 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number):
         assert (task.member, task.signs, task.slots) == (2 * group, ((1,), (-1,)), (0, 1))
         assert (task.noise_index, task.seeds) == ((noise[group],), (seeds[group],) * 2)
         assert bits(task.start) == bits(starts[group])
-        assert task.kept_slot == (kept[group] if left is None else None)
+        assert task.kept_slot == (kept[group] if group < going else None)
         assert (task.records_statistics, task.snapshot_steps) == (True, ())
     generation = draws.generation
     assert generation.sigma == pytest.approx(0.1)  # the schedule's in the third generation
@@ -174,7 +181,7 @@ def test_a_snapshot_is_the_state_at_its_decision_with_its_goals(beside, whole):
 
 
 def test_a_branch_is_what_a_plain_loop_makes_of_its_start(beside, whole):
-    """From snapshots; or, where no episode left any, from a reset on goals that are drawn."""
+    """From snapshots; or, where no episode left any, from a reset on goals that wander."""
     nothing = replace(whole, results=replace(whole.results, snapshots={}))
     for before in (whole, nothing):
         pairs = roll_out(beside.draw((before,)), beside.backend)
@@ -188,7 +195,7 @@ def test_a_branch_is_what_a_plain_loop_makes_of_its_start(beside, whole):
                 for row in range(2):
                     if run.outcomes[row]["steps"] > number * STEPS:
                         assert run.goals[number * STEPS][row] == pytest.approx(goal, abs=1e-12)
-        assert pairs.results.snapshots == {}
+        assert bool(pairs.results.snapshots) is not bool(left)
         assert np.ptp(pairs.results.returns[0].reshape(-1, 2), axis=1).all()  # the two sides differ
 
 

@@ -79,7 +79,7 @@ def evolve(
             generation=state.generation + 1,
             env_steps=state.env_steps + sum(int(each.results.steps.sum()) for each in populations),
             levels=tuple(update.level for update in updates),
-            running=next_running(populations[0], settings.horizon) if settings.estimates[0] is draw_pairs else None,
+            running=next_running(populations[-1], settings.horizon) if settings.estimates[-1] is draw_pairs else None,
         )
         yield GenerationReport(
             state=state,

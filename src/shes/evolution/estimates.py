@@ -14,7 +14,7 @@ Source: SHES paper, II-A, II-E, II-F; `docs/learning.md` (intervals); compare th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -26,7 +26,7 @@ from shes.es.perturbation import MIRRORINGS, Signs, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.evolution.state import TrainState
 from shes.evolution.way_search import WaySearch
-from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
+from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import PopulationResults
 from shes.settings import Choices, Ge, Gt, Le, Needs, Settings, Shown
 from shes.streams import Purpose, stream
@@ -237,12 +237,17 @@ def _starts_on_way(state: TrainState, settings: Hyperparameters, groups: int) ->
     return [Snapshot(state=known[i], steps=0) if is_on_way[group] else None for group, i in enumerate(places.tolist())]
 
 
+_RESET = Snapshot(state=None, steps=0)
+
+
 def draw_pairs(
     state: TrainState, settings: Hyperparameters, table_size: int, before: Sequence[Population] = ()
 ) -> Draws:
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
-    They start from snapshots of the whole episodes `before`; without such episodes, running ones continue.
+    They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In a search,
+    running episodes with goals that wander belong to all pairs until a way is known, and then to half: beginners among
+    the controllers set goals behind walls, and robots that often stand there unlearn to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -250,11 +255,16 @@ def draw_pairs(
     noise_index = draw_noise_index(state.seed, generation, groups, (len(primitive.theta),), table_size, level)
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
+    running, drawn, archive = [*(state.running or [None] * groups)], list[Snapshot](), state.archive
     if before:
         snapshots = [each for one in before for own in one.results.snapshots.values() for each in own]
-        starts = _drawn_starts(rng, snapshots, estimate, groups)
-    else:
-        starts = state.running or [None] * groups
+        if snapshots and (archive is None or archive.way_steps):
+            running = [] if archive is None else running[: groups // 2]
+        angles = wander(rng, estimate.intervals, len(running)).T
+        goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
+        running = [replace(end or _RESET, goals=own) for end, own in zip(running, goals, strict=True)]
+        order = rng.permutation(len(snapshots))
+        drawn = [snapshots[order[group % len(order)]] for group in range(groups - len(running))]
     tasks = [
         EpisodeTask(
             member=2 * group,
@@ -262,10 +272,10 @@ def draw_pairs(
             signs=((1,), (-1,)),
             slots=(0, 1),
             seeds=(seeds[group],) * 2,
-            start=starts[group],
-            kept_slot=None if before else kept[group],
+            start=start,
+            kept_slot=kept[group] if group < len(running) else None,
         )
-        for group in range(groups)
+        for group, start in enumerate([*running, *drawn])
     ]
     return Draws(
         levels=(level,),
@@ -282,20 +292,6 @@ def draw_pairs(
         ),
         learning_rate=estimate.evolution.value("learning_rate", generation),
     )
-
-
-def _drawn_starts(
-    rng: np.random.Generator, snapshots: Sequence[Snapshot], estimate: IntervalEstimate, groups: int
-) -> list[Snapshot | None]:
-    """Return a snapshot for each pair: all `snapshots` in random order, repeated as necessary.
-
-    Without snapshots, because every episode ended too early, pairs start at a reset with random goals.
-    """
-    if not snapshots:
-        goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, (groups, estimate.intervals, 2))
-        return [Snapshot(state=None, steps=0, goals=own) for own in goals]
-    order = rng.permutation(len(snapshots))
-    return [snapshots[order[group % len(order)]] for group in range(groups)]
 
 
 def next_running(pairs: Population, horizon: int) -> tuple[Snapshot | None, ...] | None:

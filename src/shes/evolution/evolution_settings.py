@@ -223,7 +223,7 @@ _ANT_TO_TARGET = {
     "explore_horizon": 1500,  # a slow walker finds the way, and a faster one a shorter way
     "population_size": 40,
     "fitness_shaping": "pair_rank",
-    "learning_rate": 0.03,
+    "learning_rate": 0.02,
     "learning_rate_end": 0.005,  # with constant rates each level loses what the other has adapted to
     "primitive_learning_rate": None,
     "schedule_generations": 150,
