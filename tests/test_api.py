@@ -173,6 +173,6 @@ def test_an_unknown_mujoco_gl_is_named_with_what_to_do(code):
     command = [sys.executable, "-c", f"import gymnasium, shes; from shes.cli import main; {code}"]
     environment = {**os.environ, "MUJOCO_GL": "nonsense"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2 if "list" in code else 1, "")
-    *_, last = done.stderr.splitlines()
+    *before, last = done.stderr.splitlines()
+    assert (done.returncode, done.stdout, before == []) == ((2, "", True) if "list" in code else (1, "", False))
     assert re.search(r"MUJOCO_GL=nonsense \(.*\)\. Unset MUJOCO_GL to let SHES choose, or set", last)

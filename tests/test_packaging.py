@@ -25,11 +25,6 @@ def test_the_citation_has_the_version_and_licence_of_the_package():
     assert doi == re.findall(r"doi (\S+?)\. ", (ROOT / "README.md").read_text(encoding="utf-8"))
 
 
-def test_the_hooks_of_pre_commit_are_targets_of_make():
-    hooks = re.findall(r"entry: make ([a-z-]+)", (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
-    assert {"lint", "imports", "type", "test"} == set(hooks) <= TARGETS
-
-
 def test_contributing_names_what_exists_and_every_marker():
     assert {target for words in re.findall(r"`make ([a-z -]+)`", CONTRIBUTING) for target in words.split()} <= TARGETS
     for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]*)`", CONTRIBUTING):

@@ -7,7 +7,6 @@ import pytest
 from benchmarks import speedup
 from shes.machine import core_numbers
 from shes.runs.make_config import make_config
-from tests.rollout.made_up import make_task
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "noise_table_size": 1_000_000}
 
@@ -27,15 +26,6 @@ def test_a_projection_follows_its_assumptions(share_s, num_results, message_s, s
     found = speedup.project(share_s, num_results, message_s, state_bytes, num_workers)
     assert found == pytest.approx(seconds, abs=10 * speedup.LATENCY_S)
     assert found >= seconds + 2 * speedup.LATENCY_S
-
-
-@pytest.mark.parametrize(
-    ("first", "size", "expected"),
-    [(0, 3, [(0, 1, 2)]), (2, 4, [(2,), (0, 1, 2)]), (4, 1, [(1,)]), (5, 9, [(2,), (0, 1, 2)])],
-)
-def test_a_share_is_successive_episodes(first, size, expected):
-    tasks = [make_task(member, range(3)) for member in range(3)]
-    assert [task.slots for task in speedup.share(tasks, first, size)] == expected
 
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"}

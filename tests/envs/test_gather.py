@@ -7,8 +7,6 @@ from numpy.testing import assert_array_equal
 from shes.envs.markers import POISON as POISON_COLOR
 from tests.envs.episodes import make_task
 
-FAR_AWAY = 1000.0
-
 
 def start(name="point-gather", food=(), poison=(), spec="shes"):
     """Return one episode, at rest at the origin, with the given objects; the others are far away."""
@@ -20,7 +18,7 @@ def start(name="point-gather", food=(), poison=(), spec="shes"):
 
 def put(task, food=(), poison=()):
     """Place the objects of episode 0."""
-    task.objects[0] = FAR_AWAY
+    task.objects[0] = 1000.0
     for kind, places in enumerate((food, poison)):
         for number, place in enumerate(places):
             task.objects[0, kind, number] = place

@@ -20,14 +20,8 @@ TOLERANCE = 1e-6
 """Another processor rounds differently, and contacts let that grow; within two seconds it stays far below this."""
 FOLDER = Path(__file__).parent
 SEEDS = (11, 12, 13)
-NUM_STEPS = 20
-STORED_EVERY = 4
-"""Observations are stored after every so many control steps, the start included."""
-DECIMALS = 12
 STARTS_M = {"maze": (0.0, 3.0), "push": (0.0, 3.0), "fall": (8.0, 3.0)}
 """Where robots start, relative to where a reset puts them: 1 m before the wall or block."""
-START_SPEED_M_S = 2.0
-"""How fast they fly toward it at first, along y."""
 OPTIONS = {"flagrun": {"controller_interval": 8}}
 """Options of a task: Flagrun's goals move within the stored steps."""
 
@@ -44,7 +38,7 @@ def golden_file(variant):
 
 def smooth_actions(num_actions, control_limit):
     """Return slow sine waves [step, action] of 80 % of the control range, each control with its own phase."""
-    step, control = np.arange(NUM_STEPS)[:, None], np.arange(num_actions)[None, :]
+    step, control = np.arange(20)[:, None], np.arange(num_actions)[None, :]
     return 0.8 * control_limit * np.sin(0.25 * step + 1.3 * control + 0.9)
 
 
@@ -56,13 +50,13 @@ def play(variant, shift=0.0):
     task.reset(ids, SEEDS)
     if kind in STARTS_M:
         task.sim.qpos[:, :2] += STARTS_M[kind]
-        task.sim.qvel[:, 1] += START_SPEED_M_S
+        task.sim.qvel[:, 1] += 2.0  # they fly toward it at first
     task.sim.qvel[:, 0] += shift
     observations, rewards = [task.observe().copy()], []
     for step, action in enumerate(smooth_actions(task.action_size, task.control_limit), start=1):
         task.step(ids, np.tile(action, (len(ids), 1)))
         rewards.append(task.reward.copy())
-        if step % STORED_EVERY == 0:
+        if step % 4 == 0:
             observations.append(task.observe().copy())
     return {
         "environment": title(variant),
@@ -70,7 +64,7 @@ def play(variant, shift=0.0):
         "seeds": list(SEEDS),
         "rewards": np.array(rewards).T.tolist(),
         "scores": task.score.tolist(),
-        "observations": np.array(observations).transpose(1, 0, 2).round(DECIMALS).tolist(),
+        "observations": np.array(observations).transpose(1, 0, 2).round(12).tolist(),
     }
 
 

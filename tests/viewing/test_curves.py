@@ -12,6 +12,7 @@ def test_an_interval_is_that_of_students_t(runs):
     values = np.random.default_rng(1).normal(2, 3, size=(runs, 40))
     low, high = stats.ttest_1samp(values, 0).confidence_interval(0.95)
     np.testing.assert_allclose(confidence_interval(values), (low, high), rtol=1e-7)
+    np.testing.assert_array_equal(confidence_interval(values[:1]), (values[0], values[0]))
 
 
 def line(start, end, value=1.0, points=5):
