@@ -8,10 +8,16 @@ from __future__ import annotations
 import difflib
 import importlib
 import os
+import sys
 import sysconfig
 import traceback
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
 from types import ModuleType
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class ShesError(Exception):
@@ -102,15 +108,19 @@ def nearest_first(name: str, known: Iterable[str]) -> list[str]:
 
 
 def import_module(name: str) -> ModuleType:
-    """Import a module; raise ConfigError if MuJoCo cannot be imported with the value of MUJOCO_GL."""
+    """Import a module, whatever MUJOCO_GL says: only drawing reads it."""
+    return without_opengl(partial(importlib.import_module, name))
+
+
+def without_opengl(call: Callable[[], T]) -> T:
+    """Return `call()`. If MuJoCo refuses to be imported (MUJOCO_GL), import it without OpenGL and call again."""
     try:
-        return importlib.import_module(name)
-    except Exception as error:
-        asked, frames = os.environ.get("MUJOCO_GL"), traceback.walk_tb(error.__traceback__)
-        packages = {str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames}
-        if not asked or ("MUJOCO_GL" not in str(error) and "OpenGL" not in packages):
+        return call()
+    except Exception:
+        if (asked := os.environ.get("MUJOCO_GL")) is None or "mujoco" in sys.modules:
             raise
-        raise ConfigError(
-            f"MuJoCo cannot be imported with MUJOCO_GL={asked} ({error}). Unset MUJOCO_GL to let SHES choose, or set "
-            "it to another of egl, osmesa, off."
-        ) from error
+    os.environ["MUJOCO_GL"] = "off"
+    with suppress(ImportError):
+        importlib.import_module("mujoco")
+    os.environ["MUJOCO_GL"] = asked
+    return call()

@@ -10,7 +10,7 @@ from shes.cli import demo, main
 from shes.runs.folder import RunFolder
 from tests.e2e import runs
 
-TINY = demo.Stage("tiny", "point-gather", "score", "scores", {"camera": "top", "steps": 2}, {**runs.TINY, "seed": 3})
+TINY = demo.Stage("tiny", "point-gather", "scores", {"camera": "top", "steps": 2}, {**runs.TINY, "seed": 3})
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +25,7 @@ def test_runs_are_trained_compared_and_drawn(capsys, monkeypatch):
     monkeypatch.setattr(shes, "render", lambda *_, **given: drawn.append(given) or render(*_, **given))
     monkeypatch.setitem(vars(shes), "plot", lambda _, path: path)  # before it imports Matplotlib
     monkeypatch.setattr(shes, "evaluate", partial(shes.evaluate, num_workers=1))
-    walking = TINY._replace(name="walking", env="point-flagrun", column="returns", result="return")
+    walking = TINY._replace(name="walking", env="point-flagrun", column="returns")
     monkeypatch.setattr(demo, "STAGES", (walking, TINY))
     monkeypatch.setattr(demo, "EPISODES", 5)
     assert main(["demo"]) == 0
@@ -33,12 +33,13 @@ def test_runs_are_trained_compared_and_drawn(capsys, monkeypatch):
     (folder,) = Path("runs").iterdir()
     for stage, given in zip((walking, TINY), drawn, strict=True):
         run = folder / stage.name
-        before, after = (
-            getattr(shes.evaluate(run, episodes=5, checkpoint=name, seed=0), stage.column)
-            for name in given["checkpoints"]
-        )
-        means = f"{before.mean():.2f} before training, {after.mean():.2f} after."
-        assert f"Mean {stage.result}, 5 fresh episodes: {means}" in out
+        evaluate = partial(shes.evaluate, run, episodes=5, seed=0)
+        before, after = (getattr(evaluate(checkpoint=name), stage.column) for name in given["checkpoints"])
+        means = f"{before.mean():.2f} before training, {after.mean():.2f} after"
+        if stage is TINY:
+            others = (evaluate(controller=name) for name in ("constant", "random"))
+            means += "; with constant goals {:.2f}, with random ones {:.2f}".format(*(e.scores.mean() for e in others))
+        assert f"Mean {stage.column[:-1]} of 5 fresh episodes: {means}.\n" in out
         assert (given["episode"], given["seed"]) == (abs(after - after.mean()).argmin(), 0)  # the typical one
         assert f"{stage.name}: {run.with_suffix('.mp4')}   curves: {run / 'curves.png'}" in out
         assert run.with_suffix(".mp4").stat().st_size > 0

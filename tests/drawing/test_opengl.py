@@ -51,9 +51,9 @@ def test_the_first_opengl_that_works_or_is_asked_for_is_found(works, monkeypatch
     assert all_tried == tried
 
 
-@pytest.mark.parametrize("asked", ["egl", "glfw"])
-def test_a_choice_that_does_not_work_is_refused(works, monkeypatch, asked):
-    works("osmesa")
+@pytest.mark.parametrize(("asked", "other"), [("egl", "osmesa"), ("glfw", "egl"), ("nonsense", "glfw")])
+def test_a_choice_that_does_not_work_is_refused(works, monkeypatch, asked, other):
+    works(other)
     monkeypatch.setenv("MUJOCO_GL", asked)
     with pytest.raises(ConfigError, match=f"asks for {asked}, which does not work here. Unset MUJOCO_GL.*libosmesa6"):
         make_drawer.find_opengl()

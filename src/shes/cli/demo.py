@@ -7,6 +7,7 @@ import shutil
 import sys
 from collections.abc import Mapping
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from types import MappingProxyType
@@ -17,8 +18,6 @@ from shes.console import LineConsole
 from shes.runs.progress_display import drawing_progress, format_duration
 
 EPISODES = 50
-_RETURN = "return on moving goals (untrained it stands: 0)"
-_SCORE = "score (8 is the most there is)"
 _BEFORE_AFTER = ("0", "best")  # checkpoints
 _SEED = 0  # of the fresh episodes: both checkpoints are evaluated and drawn in the same ones
 
@@ -29,10 +28,8 @@ class Stage(NamedTuple):
     name: str
     """Name of the run folder and of its video."""
     env: str
-    result: str
-    """Text printed about its episodes."""
     column: str
-    """The same, as a field of `Evaluation`."""
+    """What is printed about its episodes: `returns` or `scores`, a field of `Evaluation`."""
     view: Mapping[str, Any]
     """Arguments of `render`."""
     settings: Mapping[str, Any] = MappingProxyType({})
@@ -40,14 +37,13 @@ class Stage(NamedTuple):
 
 
 _TEXT = (
-    "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1) and "
-    "leave poison (-1): a controller sets the goals. Four minutes if idle; Ctrl-C stops and keeps everything."
+    "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect 8 pieces of food and "
+    "to leave poison: a controller sets the goals. Five minutes if idle; Ctrl-C stops and keeps everything."
 )
 STAGES = (
-    Stage("walking", "ant-flagrun", _RETURN, "returns", {"camera": "follow", "steps": 100}),
-    # From above, without shadows, it is drawn three times as fast without a GPU. Generations, not minutes: a slow
-    # or busy machine takes longer, but shows the same.
-    Stage("gathering", "ant-gather", _SCORE, "scores", {"camera": "top", "speed": 2.0}, {"generations": 20}),
+    Stage("walking", "ant-flagrun", "returns", {"camera": "follow", "steps": 100}),
+    # From above: three times as fast without a GPU. Generations, not minutes: a slow machine shows the same.
+    Stage("gathering", "ant-gather", "scores", {"camera": "top", "speed": 2.0}, {"generations": 20}),
 )
 
 
@@ -85,12 +81,13 @@ def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[st
     Return the index of a typical episode: after training, its result is the nearest to the mean.
     """
     shes.train(stage.env, out=path, progress=True, **stage.settings, **primitive)
-    before, after = (
-        getattr(shes.evaluate(path, episodes=EPISODES, checkpoint=name, seed=_SEED), stage.column)
-        for name in _BEFORE_AFTER
-    )
+    evaluate = partial(shes.evaluate, path, episodes=EPISODES, seed=_SEED)
+    before, after = (getattr(evaluate(checkpoint=name), stage.column) for name in _BEFORE_AFTER)
     means = f"{before.mean():.2f} before training, {after.mean():.2f} after"
-    console.print_line(f"\nMean {stage.result}, {EPISODES} fresh episodes: {means}.\n")
+    if stage.column == "scores":
+        constant, random = (evaluate(controller=name).scores.mean() for name in ("constant", "random"))
+        means += f"; with constant goals {constant:.2f}, with random ones {random:.2f}"
+    console.print_line(f"\nMean {stage.column[:-1]} of {EPISODES} fresh episodes: {means}.\n")
     return int(abs(after - after.mean()).argmin())
 
 

@@ -164,7 +164,7 @@ def find_opengl() -> str | None:
     if sys.platform != "linux":
         return asked or "cgl"
     if asked not in _ON:
-        if not _works(asked if asked in ("egl", "osmesa") else "glfw"):
+        if not _works(asked):
             raise ConfigError(
                 f"MUJOCO_GL asks for {asked}, which does not work here. Unset MUJOCO_GL to let SHES choose, or set it "
                 f"to off for flat pictures. {_HOW_TO_GET_OPENGL}"

@@ -2,4 +2,4 @@
 
 from shes.errors import import_module
 
-import_module("mujoco")  # with a clear error for a MUJOCO_GL that does not work here
+import_module("mujoco")  # even if MUJOCO_GL does not work here: only pictures need OpenGL
