@@ -65,18 +65,16 @@ def on_one_core(core: int | None = None) -> Iterator[None]:
 def free_memory() -> int:
     """Return the bytes of memory that this process may still use, without swap.
 
-    It is the least of three: the memory available on the machine, the limit of the control group (a container, a
+    It is the least of three: the memory free on the machine, the limit of the control group (a container, a
     cluster's job) and that of the address space (`ulimit -v`).
     """
-    available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    free = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     with suppress(OSError, StopIteration):  # Linux alone has these files
         line = next(line for line in _MEMINFO.read_text().splitlines() if line.startswith("MemAvailable:"))
-        available = 1024 * int(line.split()[1])
+        free = 1024 * int(line.split()[1])
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     own = [] if limit == resource.RLIM_INFINITY else [limit]
-    return min(
-        [available, *own, *(size for (size,) in _limits("memory", "memory.limit_in_bytes", newest="memory.max"))]
-    )
+    return min([free, *own, *(size for (size,) in _limits("memory", "memory.limit_in_bytes", newest="memory.max"))])
 
 
 def resident_memory() -> int:

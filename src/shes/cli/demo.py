@@ -17,9 +17,8 @@ import shes
 from shes.console import LineConsole
 from shes.runs.progress_display import drawing_progress, format_duration
 
-EPISODES = 50
+EPISODES = 50  # fresh ones, the same for every evaluation and video
 _BEFORE_AFTER = ("0", "best")  # checkpoints
-_SEED = 0  # of the fresh episodes: both checkpoints are evaluated and drawn in the same ones
 
 
 class Stage(NamedTuple):
@@ -81,7 +80,7 @@ def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[st
     Return the index of a typical episode: after training, its result is the nearest to the mean.
     """
     shes.train(stage.env, out=path, progress=True, **stage.settings, **primitive)
-    evaluate = partial(shes.evaluate, path, episodes=EPISODES, seed=_SEED)
+    evaluate = partial(shes.evaluate, path, episodes=EPISODES, seed=0)
     before, after = (getattr(evaluate(checkpoint=name), stage.column) for name in _BEFORE_AFTER)
     means = f"{before.mean():.2f} before training, {after.mean():.2f} after"
     if stage.column == "scores":
@@ -97,6 +96,6 @@ def _draw(console: LineConsole, path: Path, stage: Stage, episode: int) -> None:
     curves = shes.plot([path], path / "curves.png")
     video = path.with_suffix(".mp4")
     with drawing_progress(console, stage.name) as on_step:
-        shown = {"checkpoints": _BEFORE_AFTER, "episode": episode, "seed": _SEED, "size": 400, "on_step": on_step}
+        shown = {"checkpoints": _BEFORE_AFTER, "episode": episode, "seed": 0, "size": 400, "on_step": on_step}
         shes.render(path, video, **shown, **stage.view)
     console.print_line(f"{stage.name}: {video}   curves: {curves}")
