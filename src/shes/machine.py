@@ -65,7 +65,7 @@ def on_one_core(core: int | None = None) -> Iterator[None]:
 def free_memory() -> int:
     """Return the bytes of memory that this process may still use, without swap.
 
-    It is the least of three: the memory free on the machine, the limit of the control group (a container, a
+    It is the least of three: the memory available on the machine, the limit of the control group (a container, a
     cluster's job) and that of the address space (`ulimit -v`).
     """
     free = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
