@@ -11,10 +11,11 @@ agent = shes.load(run.path)
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 from shes.envs.gymnasium_ids import register_known
-from shes.errors import import_module
+from shes.mujoco_import import AnyOpenGL
 
 if TYPE_CHECKING:
     __version__: str
@@ -55,6 +56,7 @@ _HOMES = {
 }
 """Names by module. They are imported on first access: worker processes import this package, too, but need none."""
 
+sys.meta_path.insert(0, AnyOpenGL())
 register_known()  # entry points are strings: MuJoCo is imported when the first environment is made
 
 
@@ -62,10 +64,10 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("shes")
     if name == "es":
-        return import_module("shes.es")
+        return importlib.import_module("shes.es")
     for module, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"shes.{module}"), name)
+            return getattr(importlib.import_module(f"shes.{module}"), name)
     raise AttributeError(f"module 'shes' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 

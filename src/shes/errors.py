@@ -6,18 +6,9 @@ A message says what is wrong, the value received, what is allowed (the nearest n
 from __future__ import annotations
 
 import difflib
-import importlib
-import os
-import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable
-from contextlib import suppress
-from functools import partial
-from types import ModuleType
-from typing import TypeVar
-
-T = TypeVar("T")
+from collections.abc import Iterable
 
 
 class ShesError(Exception):
@@ -105,22 +96,3 @@ def nearest_first(name: str, known: Iterable[str]) -> list[str]:
     ordered = sorted(known)
     close = difflib.get_close_matches(name, ordered, n=3)
     return close + [other for other in ordered if other not in close]
-
-
-def import_module(name: str) -> ModuleType:
-    """Import a module, whatever MUJOCO_GL says: only drawing reads it."""
-    return without_opengl(partial(importlib.import_module, name))
-
-
-def without_opengl(call: Callable[[], T]) -> T:
-    """Return `call()`. If MuJoCo refuses to be imported (MUJOCO_GL), import it without OpenGL and call again."""
-    try:
-        return call()
-    except Exception:
-        if (asked := os.environ.get("MUJOCO_GL")) is None or "mujoco" in sys.modules:
-            raise
-    os.environ["MUJOCO_GL"] = "off"
-    with suppress(ImportError):
-        importlib.import_module("mujoco")
-    os.environ["MUJOCO_GL"] = asked
-    return call()

@@ -29,7 +29,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from shes.backends.backend import TaskSource, Worker, WorkerFactory
-from shes.errors import ConfigError, ShesError, WorkerError, without_opengl
+from shes.errors import ConfigError, ShesError, WorkerError
 
 ONE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
@@ -139,7 +139,7 @@ def pickle_factory(factory: WorkerFactory) -> bytes:
 
 def _unpickle_factory(pickled: bytes) -> WorkerFactory:
     try:
-        return without_opengl(lambda: pickle.loads(pickled))
+        return pickle.loads(pickled)
     except (ImportError, AttributeError) as error:
         raise WorkerError(
             f"a worker process cannot import a module that its work needs: {error}. Put the folder of that module on "

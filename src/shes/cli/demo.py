@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import shes
 from shes.console import LineConsole
+from shes.drawing.make_drawer import find_opengl
 from shes.runs.progress_display import drawing_progress, format_duration
 
 EPISODES = 50  # fresh ones, the same for every evaluation and video
@@ -36,8 +37,8 @@ class Stage(NamedTuple):
 
 
 _TEXT = (
-    "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect 8 pieces of food and "
-    "to leave poison: a controller sets the goals. Five minutes if idle; Ctrl-C stops and keeps everything."
+    "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1, 8 pieces) "
+    "and leave poison (-1): a controller sets the goals. Five minutes if idle; Ctrl-C stops and keeps everything."
 )
 STAGES = (
     Stage("walking", "ant-flagrun", "returns", {"camera": "follow", "steps": 100}),
@@ -51,6 +52,7 @@ def demo() -> None:
 
     Everything is written below runs/ in the working directory.
     """
+    find_opengl()  # an error before the training, not after it
     console, start = LineConsole(), monotonic()
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     console.print(_TEXT, highlight=False)

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import Any
 
 import shes
-from shes.errors import ConfigError, ShesError, UnknownNameError, import_module
+from shes.errors import ConfigError, ShesError, UnknownNameError
 from shes.machine import free_memory
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -79,8 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     code = 1
     try:
-        code = exit_code(run, is_debug=asked.debug)
-        return code
+        return (code := exit_code(run, is_debug=asked.debug))
     finally:
         if arguments is None:  # the process is this command's alone
             ending = threading.Timer(_END_S, _end, (code,))
@@ -108,7 +107,7 @@ def _run(words: Sequence[str]) -> int:
     if name.startswith("-"):
         raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
     function = find_command(name)
-    return import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
+    return importlib.import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
 
 
 def find_command(name: str) -> Callable[..., Any]:
@@ -116,7 +115,7 @@ def find_command(name: str) -> Callable[..., Any]:
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS, "See `shes --help`.")
     module, _, function = COMMANDS[name][0].rpartition(".")
-    return getattr(import_module(f"shes.{module}"), function)
+    return getattr(importlib.import_module(f"shes.{module}"), function)
 
 
 def _import_registering(name: str | None) -> None:

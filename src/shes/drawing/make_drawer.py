@@ -138,8 +138,11 @@ def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
     """
     if batch.robot is None:
         batch.draw_by("rgb_array")
-        if not os.environ.get("MUJOCO_GL") and (found := find_opengl()):
-            os.environ["MUJOCO_GL"] = found  # which Gymnasium's environments read
+        try:
+            if found := find_opengl():
+                os.environ["MUJOCO_GL"] = found  # which Gymnasium's environments read
+        except ConfigError as error:  # not every environment draws by OpenGL
+            logger.warning("%s", error)
         return PassthroughDrawer(width, height)
     for name, pixels in (("width", width), ("height", height)):
         if not (is_whole(pixels) and 16 <= pixels <= MAX_PIXELS):

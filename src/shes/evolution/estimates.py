@@ -225,10 +225,7 @@ def _episode_tasks(
 
 
 def _starts_on_way(state: TrainState, settings: Hyperparameters, groups: int) -> list[Snapshot | None]:
-    """Return where the episodes of each group begin: about half at random places of the way, if that is asked for.
-
-    So all parts of it are learned at once. Source: Salimans and Chen 2018, whose starts move backwards along a way.
-    """
+    """Return where each group begins: if asked, about half at random places of the way (Salimans and Chen 2018)."""
     search, archive = settings.search, state.archive
     if search is None or not search.has_starts or archive is None or not len(known := archive.starts):
         return [None] * groups

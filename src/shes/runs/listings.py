@@ -163,10 +163,7 @@ def describe_run(run: Path | str, *, full: bool = False, card: bool = False) -> 
 
 
 def _model_card(folder: RunFolder) -> str:
-    """Return the card of the best checkpoint of a run, as the Hugging Face hub shows it, in Markdown.
-
-    All controllers are evaluated for it.
-    """
+    """Evaluate all controllers of a run's best checkpoint; return its card for the Hugging Face hub, in Markdown."""
     config, checkpoint, name = folder.read_config(), folder.load("best", with_state=False), shipped_name(folder.path)
     agent = None if name is None else read_agent(name)
     if agent is None:

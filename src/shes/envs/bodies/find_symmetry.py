@@ -124,10 +124,7 @@ class _Kinematics:
         return _signed_permutation(distance, np.sign(cosine), near)
 
     def _residual(self, mapping: F64Array, controls: F64Array) -> float:
-        """Return the median relative difference between accelerations of random states and of their images.
-
-        `mapping` [nv, nv] is that of velocities and accelerations.
-        """
+        """Return the median relative difference of accelerations of states and their images by `mapping` [nv, nv]."""
         rng = np.random.default_rng(0)
         model, data, (middle, half) = self.model, self.data, self.control_map
         has_state = model.actuator_actnum == 1
