@@ -29,7 +29,7 @@ class Stage(NamedTuple):
     """Name of the run folder and of its video."""
     env: str
     column: str
-    """What is printed about its episodes: `returns` or `scores`, a field of `Evaluation`."""
+    """Field of `Evaluation` whose mean is printed: `returns` or `scores`."""
     view: Mapping[str, Any]
     """Arguments of `render`."""
     settings: Mapping[str, Any] = MappingProxyType({})
