@@ -136,7 +136,7 @@ def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array)
         welch: Any = stats.ttest_ind(device, cpu, equal_var=False)
         p_shift = float(welch.pvalue)
     # Ties, as among episodes that all reach the horizon, make this p too large: the test is conservative.
-    found: Any = stats.ks_2samp(cpu, device)
+    found: Any = stats.ks_2samp(cpu, device, method="asymp")  # the exact one can fail, with a warning
     return DeviceComparison(
         env=env,
         spec=spec,
