@@ -37,6 +37,7 @@ FROZEN: dict[str, dict[str, Any]] = {
     "maze": {**_PLAIN, "generations": 60, "evaluation_interval": 10},
     "push": {
         **_PLAIN,
+        "controller_interval": 10,
         "learning_rate_end": 0.01,
         "schedule_generations": 100,
         "generations": 100,

@@ -229,6 +229,7 @@ _ANT_TO_TARGET = {
     "schedule_generations": 150,
     "generations": 150,
 }
+_STIFF = {"learning_rate": 0.015, "controller_interval": 25, "intervals": 1}  # more: falls; 10 steps: a late path
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
@@ -274,8 +275,8 @@ SHES_PRESETS: Mapping[str, Preset] = {
             },
             "ant-gather": _ANT_TO_FOOD,
             "ant-maze": {**_ANT_TO_TARGET, "target": (0.0, 16.0)},  # that of evaluation: a search needs one target
-            "ant-push": {**_ANT_TO_TARGET, "learning_rate": 0.015},  # on stiff contacts more leads to falls
-            "ant-fall": {**_ANT_TO_TARGET, "learning_rate": 0.015, "explore_horizon": 2500},
+            "ant-push": {**_ANT_TO_TARGET, **_STIFF},
+            "ant-fall": {**_ANT_TO_TARGET, **_STIFF, "explore_horizon": 2500},
             "flagrun": {
                 **_ROBOT_WALKER,
                 "hidden": (),
