@@ -18,7 +18,7 @@ from shes.console import LineConsole
 from shes.drawing.make_drawer import find_opengl
 from shes.runs.progress_display import drawing_progress, format_duration
 
-EPISODES = 50  # fresh ones, the same for every evaluation and video
+EPISODES = 25  # fresh ones, the same for every evaluation and video
 _BEFORE_AFTER = ("0", "best")  # checkpoints
 
 
@@ -38,7 +38,7 @@ class Stage(NamedTuple):
 
 _TEXT = (
     "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1, 8 pieces) "
-    "and leave poison (-1): a controller sets the goals. Five minutes if idle; Ctrl-C stops and keeps everything."
+    "and leave poison (-1): a controller sets the goals. Four minutes if idle; Ctrl-C stops and keeps everything."
 )
 STAGES = (
     Stage("walking", "ant-flagrun", "returns", {"camera": "follow", "steps": 100}),

@@ -31,7 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "render": ("viewing.render.render", "make a video of a run's policy"),
     "watch": ("viewing.playback.watch", "watch a run's policy in a window"),
     "export": ("runs.export.export", "write a run's policy to a file that needs no SHES"),
-    "demo": ("cli.demo.demo", "train a robot that collects food, in five minutes, and draw it"),
+    "demo": ("cli.demo.demo", "train a robot that collects food, in four minutes, and draw it"),
     "bench": ("cli.bench.bench", "measure the speed of this machine"),
     "completion": ("cli.parsing.completion", "print a script that completes commands and flags with the Tab key"),
 }

@@ -135,7 +135,7 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     looks, light = spec.visual, spec.visual.headlight
     looks.global_.offwidth = looks.global_.offheight = MAX_PIXELS
     looks.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-    looks.quality.shadowsize = 4096
+    looks.quality.shadowsize = 2048
     light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.35] * 3, [0.0] * 3
     sky, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
     spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=_SKY[0], rgb2=_SKY[1], width=256, height=256)
