@@ -55,7 +55,7 @@ _NO_SEARCH = {
     "controller_output": "vector",
 }
 """Settings of the point's Maze and Push without what preset `laptop` has there besides."""
-_CONSTANT = {"fitness_shaping": "centred_rank", "learning_rate": 0.05, "learning_rate_end": None}
+_CONSTANT = {"fitness_shaping": "centred_rank", "learning_rate": 0.05, "learning_rate_end": None, "practice": 0}
 """Settings of the ant's Maze and Push without what the preset has there besides."""
 _POINT_ALONE = {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03}
 """With the changes, for the point's primitive that is trained alone."""

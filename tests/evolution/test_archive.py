@@ -100,7 +100,7 @@ def test_news_of_a_search_are_told_once():
     begun = entered(line((1, 0)), [[1, 0]], [10], [1])
     known = entered(begun, [[2, 0]], [20], [1], solved=[0])
     assert before.news(before) == known.news(known) == []
-    assert begun.news(before) == ["the primitive walks: the search for a way begins"]
+    assert begun.news(before) == ["the search for a way begins"]
     assert known.news(begun) == ["a way of 20 steps is known after 0 environment steps of search"]
     assert known.over().news(known) == ["the search is over: the way has 20 steps"]
     assert len(known.over().news(before)) == 3

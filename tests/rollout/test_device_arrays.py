@@ -25,13 +25,14 @@ from tests.strict_arrays import DeviceSimulator, strict_xp
 HORIZON = 11
 SETTINGS = {"hidden": (8,), "horizon": HORIZON, "population_size": 8, "noise_table_size": 20_000}
 WHOLE = {"primitive_estimate": "episode"}
+UNSEARCHED = {"explore": "none"}  # goals would wander
 EGOCENTRIC = {**WHOLE, "primitive_view": "egocentric"}
 CHOICES = {
     "gather": ("point-gather", {}),
-    "one-hot": ("point-push", {"controller_output": "one_hot", "minimum_goal_distance": True}),
-    "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
-    "vector": ("point-maze", {"goal_encoding": "vector", "primitive_reward": "negative_distance"}),
-    "metres": ("point-fall", {"goal_encoding": "angle_metres", "clock_frequency": 1.5}),
+    "one-hot": ("point-push", {**UNSEARCHED, "controller_output": "one_hot", "minimum_goal_distance": True}),
+    "unit vector": ("point-maze", {**UNSEARCHED, "goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
+    "vector": ("point-maze", {**UNSEARCHED, "goal_encoding": "vector", "primitive_reward": "negative_distance"}),
+    "metres": ("point-fall", {**UNSEARCHED, "goal_encoding": "angle_metres", "clock_frequency": 1.5}),
     "primitive alone": ("point-flagrun", {}),
     "flat": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),
     "one level in turns": ("point-gather", {"perturbation": "one_to_many", "statistics_fraction": 0.5}),
@@ -44,7 +45,7 @@ CHOICES = {
         "point-gather",
         {"controller_network": "equivariant", "controller_view": "sectors", "controller_output": "heading_direction"},
     ),
-    "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
+    "position": ("point-maze", {**UNSEARCHED, "controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": ("ant-flagrun", {**EGOCENTRIC, "symmetry": "rotation", "max_tilt": 20.0}),
     "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0, "fitness_shaping": "centred_rank"}),
 }  # fmt: skip

@@ -34,12 +34,14 @@ ALONE = replace(BESIDE, updates=SETTINGS.updates[:1], learns=(True,))
 
 
 @pytest.mark.parametrize(
-    ("number", "way_steps", "going"),
-    [(None, None, 6), (0, None, 6), (4, None, 0), (40, None, 0), (4, 0, 6), (4, 300, 3), (40, 300, 3), (0, 300, 6)],
-)
-def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, going):
-    """Snapshots are used evenly; a search has running episodes, too. Pairs of a task share noise, seed and start."""
-    left, before, state, settings, generation = [], (), formula_state(), BESIDE, 2
+    ("number", "way_steps", "practice", "going"),
+    [(None, None, 0, 6), (0, None, 0, 6), (4, None, 0, 0), (40, None, 2, 0), (40, None, 3, 6),
+     (4, 0, 0, 6), (4, 300, 2, 3), (40, 300, 0, 3), (0, 300, 0, 6), (4, 300, 3, 6)],
+)  # fmt: skip
+def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice, going):
+    """Snapshots are used evenly; practice and a search run on, too. Pairs of a task share noise, seed and start."""
+    left, before, state, generation = [], (), formula_state(), 2
+    settings = replace(BESIDE, practice=practice)
     ends = [Snapshot(state=np.full(4, -1.0), steps=10), None] * 3
     if number is None:
         state, settings = replace(state, levels=state.levels[1:]), ALONE
@@ -69,7 +71,8 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, going):
         assert task.kept_slot == (kept[group] if group < going else None)
         assert (task.records_statistics, task.snapshot_steps) == (True, ())
     generation = draws.generation
-    assert generation.sigma == pytest.approx(0.1)  # the schedule's in the third generation
+    # The schedule's third, first or last generation: it begins after the practice.
+    assert generation.sigma == pytest.approx({0: 0.1, 2: 0.2, 3: 0.2}[practice])
     assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows_per_lane) == (2, 1, 2)
     assert (generation.branch_steps, generation.kind) == (2 * STEPS, "branch")
     assert [level.theta.tobytes() for level in generation.levels] == [state.levels[-1].theta.tobytes()]

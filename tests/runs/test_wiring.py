@@ -176,6 +176,7 @@ GROUPS: dict[str, Group] = {
                               [False] * 2),
         "fall_price": Row(3.0, rules("fall_price"), [0, 3]),
         "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2),
+        "practice": Row(1, lambda r: [each.generation.decisions for each in r.of("training")], ["wander"]),
         "primitive_population_size": Row(12, num_members("branch"), 12),
         "primitive_sigma": Row(0.3, sigmas("branch"), [0.3]),
         "primitive_learning_rate": Row(0.07, learning_rates, [0.04, 0.07]),

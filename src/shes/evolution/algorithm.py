@@ -60,7 +60,8 @@ def evolve(
     while True:  # line 1
         start = perf_counter()
         # Not in the paper: a search by the mean primitive for a way to the target, which then guides the controllers.
-        state = explore(state, settings.search, backend)
+        if state.generation >= settings.practice:
+            state = explore(state, settings.search, backend)
         populations = tuple[Population, ...]()
         for draw in settings.estimates:  # whole episodes; not in the paper: a primitive may be evaluated by intervals
             draws = draw(state, settings, table.size, populations)  # line 2: n perturbations, sigma * epsilon

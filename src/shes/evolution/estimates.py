@@ -112,6 +112,8 @@ class Hyperparameters:
     """How the primitive is evaluated by intervals; None if it is evaluated by whole episodes."""
     search: WaySearch | None = None
     """Search for a way to the target; None for no search."""
+    practice: int = 0
+    """Number of generations at the start in which the primitive alone learns, on goals that wander."""
     horizon: int = 500
     """Maximum number of control steps in an episode."""
 
@@ -127,6 +129,10 @@ class Hyperparameters:
         if self.intervals is None:
             return (draw_episodes,)
         return (draw_pairs,) if len(self.learns) == 1 else (draw_episodes, draw_pairs)
+
+    def is_practice(self, state: TrainState) -> bool:
+        """Return whether the primitive alone learns. Without a way the reward would keep controllers in dead ends."""
+        return state.generation < self.practice or (state.archive is not None and not state.archive.way_steps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,20 +169,21 @@ def draw_episodes(
     generation, archive, own = state.generation, state.archive, settings.evolution
     levels = tuple(LevelParameters.of(level.theta, level.statistics) for level in state.levels)
     signs = member_signs(settings.perturbation, own.mirrored, own.population_size, settings.by_episodes, generation)
-    is_searching = archive is not None and not archive.way_steps
-    if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
+    is_practice = settings.is_practice(state)
+    if is_practice:
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0
+        signs = signs if signs.any() else signs[:1]  # one group shows how the primitive does
     dims, members = [len(level.theta) for level in levels], signs.shape[1]
     noise_index = draw_noise_index(state.seed, generation, len(signs), dims, table_size)
     shared = Generation(
         levels=levels,
-        sigma=own.value("sigma", generation),
+        sigma=own.value("sigma", generation - settings.practice),
         episodes_per_policy=own.episodes_per_policy,
         members_per_lane=members if own.episodes_per_policy < _ENOUGH_ROWS else 1,
         has_frozen_control=not settings.by_episodes[-1],
         snapshot_goals=0 if settings.intervals is None else settings.intervals.intervals,
-        decisions="wander" if is_searching else None,
+        decisions="wander" if is_practice else None,
         way=archive.way[1:] if archive is not None and archive.way_steps else None,
     )
     return Draws(
@@ -185,7 +192,7 @@ def draw_episodes(
         noise_index=noise_index,
         tasks=_episode_tasks(state, settings, signs, noise_index, shared.members_per_lane),
         generation=shared,
-        learning_rate=own.value("learning_rate", generation),
+        learning_rate=own.value("learning_rate", generation - settings.practice),
     )
 
 
@@ -242,9 +249,9 @@ def draw_pairs(
 ) -> Draws:
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
-    They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In a search,
-    running episodes with goals that wander belong to all pairs until a way is known, and then to half: beginners among
-    the controllers set goals behind walls, and robots that often stand there unlearn to walk.
+    They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
+    running episodes with goals that wander belong to all pairs. With a search, half of them go on: beginners among the
+    controllers set goals behind walls, and robots that often stand there unlearn to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -255,7 +262,7 @@ def draw_pairs(
     running, drawn, archive = [*(state.running or [None] * groups)], list[Snapshot](), state.archive
     if before:
         snapshots = [each for one in before for own in one.results.snapshots.values() for each in own]
-        if snapshots and (archive is None or archive.way_steps):
+        if snapshots and not settings.is_practice(state):
             running = [] if archive is None else running[: groups // 2]
         angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
@@ -281,13 +288,13 @@ def draw_pairs(
         tasks=tasks,
         generation=Generation(
             levels=(LevelParameters.of(primitive.theta, primitive.statistics),),
-            sigma=estimate.evolution.value("sigma", generation),
+            sigma=estimate.evolution.value("sigma", generation - settings.practice),
             episodes_per_policy=1,
             kind="branch",
             members_per_lane=2,
             branch_steps=estimate.intervals * estimate.controller_interval,
         ),
-        learning_rate=estimate.evolution.value("learning_rate", generation),
+        learning_rate=estimate.evolution.value("learning_rate", generation - settings.practice),
     )
 
 

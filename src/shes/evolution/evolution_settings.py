@@ -104,6 +104,8 @@ class PrimitiveEstimateSettings(Settings):
 class EstimateSettings(PrimitiveEstimateSettings):
     """Evaluation of the primitive under a controller."""
 
+    practice: Annotated[int, Ge(0), _BY_INTERVAL] = 0
+    """First generations, in which the primitive alone learns, on goals that wander. Search and schedules follow."""
     primitive_population_size: Annotated[int, Ge(2), _BY_INTERVAL] | None = None
     """Policies in the branches of a generation; none for population_size."""
     primitive_sigma: Annotated[float, Gt(0), _BY_INTERVAL] | None = None
@@ -226,8 +228,9 @@ _ANT_TO_TARGET = {
     "learning_rate": 0.02,
     "learning_rate_end": 0.005,  # with constant rates each level loses what the other has adapted to
     "primitive_learning_rate": None,
-    "schedule_generations": 150,
-    "generations": 150,
+    "practice": 60,
+    "schedule_generations": 140,
+    "generations": 200,
 }
 _STIFF = {"learning_rate": 0.015, "controller_interval": 25, "intervals": 1}  # more: falls; 10 steps: a late path
 _POINT_TO_TARGET = {
@@ -257,7 +260,7 @@ _ROBOT_WALKER: dict[str, Any] = {
 }
 _ROBOT = {**_ANT, **_ROBOT_WALKER, "controller_interval": 25}
 _ROBOT_TO_TARGET = {**_ROBOT, **_TO_TARGET, "explore_horizon": 4000, "max_tilt": 60.0, "generations": 200}
-_ROBOT_TO_TARGET |= {"horizon": 2000, "evaluation_horizon": 2000}
+_ROBOT_TO_TARGET |= {"horizon": 2000, "evaluation_horizon": 2000, "practice": 80}
 
 SHES_PRESETS: Mapping[str, Preset] = {
     **SES_PRESETS,

@@ -50,6 +50,11 @@ def by_episodes(settings: Any) -> tuple[bool, ...]:
     return (*learns(settings)[:-1], False) if has_branches else learns(settings)
 
 
+def practice(settings: Any) -> int:
+    """Return the number of generations in which the primitive alone learns: none if it is frozen."""
+    return settings.values.get("practice", 0) if learns(settings)[-1] else 0
+
+
 def population(settings: Any) -> tuple[int, int]:
     """Return the number of policies in a generation, those in branches included, and the most episodes of each."""
     branches = settings.values.get("primitive_population_size") or 0
@@ -66,6 +71,7 @@ def make_hyperparameters(problem: Problem) -> Hyperparameters:
         perturbation=settings.values.get("perturbation", HierarchySettings.perturbation),
         intervals=_interval_estimate(settings) if is_branched(settings) and learns(settings)[-1] else None,
         search=_way_search(problem) if explores(settings) else None,
+        practice=practice(settings),
         horizon=settings.episodes.horizon,
     )
 
@@ -93,7 +99,6 @@ def _way_search(problem: Problem) -> WaySearch:
         decode=task.places,
         start=Archive.start(places.cells, places.positions.copy(), state.shape[1]),
         interval=interval,
-        interval_s=interval * task.step_s,
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
@@ -236,9 +241,8 @@ def warnings(settings: Any) -> list[str]:
         steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
         if steps > horizon:
             found.append(f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals")
-    if (evolution.sigma_end, evolution.learning_rate_end) != (None, None) and last < evolution.schedule_generations:
-        found.append(
-            f"the schedules take {evolution.schedule_generations} generations, but the run ends after {last}, short "
-            "of their end: see --schedule-generations"
-        )
+    if (evolution.sigma_end, evolution.learning_rate_end) != (None, None):
+        end = practice(settings) + evolution.schedule_generations
+        if last < end:
+            found.append(f"schedules end after {end} generations, but the run after {last}: see --schedule-generations")
     return found

@@ -79,11 +79,6 @@ class Archive:
         """Return the archive of a search that is over."""
         return replace(self, states=self.states[:0], starts=self.starts if keeps_starts else self.starts[:0])
 
-    @property
-    def has_begun(self) -> bool:
-        """Whether any place but the reset is known."""
-        return len(self.cells) > 1
-
     def choose(self, rng: np.random.Generator, number: int, last_step: int) -> IntArray:
         """Return the cells [number] of walkers, among those reached by step `last_step`, with repetition.
 
@@ -140,7 +135,7 @@ class Archive:
     def news(self, before: Archive) -> list[str]:
         """Return in words what has happened since `before`."""
         news = {
-            "the primitive walks: the search for a way begins": self.has_begun and not before.has_begun,
+            "the search for a way begins": len(self.cells) > len(before.cells) == 1,
             f"a way of {self.way_steps} steps is known after {self.env_steps:,} environment steps of search": (
                 self.way_steps and not before.way_steps
             ),

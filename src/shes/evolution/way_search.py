@@ -26,8 +26,6 @@ SLICE_STEPS = 32_000
 """Environment steps of a slice of the search, at least."""
 SLICES = 10
 """Slices in a generation in which nothing else can be learned."""
-MIN_SPEED_M_S = 0.15
-"""Mean speed of the first walkers towards their goals with which a search begins. An untrained ant has 0.005."""
 _DECISIONS = 5
 
 
@@ -40,8 +38,6 @@ class WaySearch:
     start: Archive
     interval: int
     """Control steps of a decision."""
-    interval_s: float
-    """The same in seconds."""
     horizon: int
     """Most control steps from the reset to a place."""
     goal_distance: float
@@ -60,10 +56,7 @@ class WaySearch:
 
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
-    """Return `state` after more of the search, which its environment steps include.
-
-    The search begins if the first walkers show that the primitive walks, and ends by `PATIENCE`.
-    """
+    """Return `state` after more of the search, which its environment steps include. It ends by `PATIENCE`."""
     if search is None or state.archive is None or state.archive.is_over:
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
@@ -72,12 +65,8 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
     generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, **walk)
     for _ in range(search.slices):
         last_step = archive.env_steps + SLICE_STEPS
-        archive, speed = _walk(archive, search, generation, rng, backend)
-        if not state.archive.has_begun and speed < MIN_SPEED_M_S:
-            archive = replace(state.archive, env_steps=archive.env_steps)
-            break
         while archive.env_steps < last_step:
-            archive, _ = _walk(archive, search, generation, rng, backend)
+            archive = _walk(archive, search, generation, rng, backend)
         archive = archive.after_slice(search.longest)
         if archive.way_steps:
             break
@@ -87,18 +76,18 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
 
 def _walk(
     archive: Archive, search: WaySearch, generation: Generation, rng: np.random.Generator, backend: Backend
-) -> tuple[Archive, float]:
-    """Return the archive after a few decisions of walkers that begin in its cells, and their speed to the goals."""
+) -> Archive:
+    """Return the archive after a few decisions of walkers that begin in its cells."""
     cells = archive.choose(rng, WALKERS, search.horizon - search.decisions * search.interval)
     archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
     starts = [
         Snapshot(state=archive.states[cell] if archive.steps[cell] else None, steps=int(archive.steps[cell]))
         for cell in cells
     ]
-    walkers, nodes, progress_m = np.arange(WALKERS), archive.nodes[cells], 0.0
+    walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
     for angle in wander(rng, search.decisions, WALKERS):
-        direction, seeds = np.stack([np.cos(angle), np.sin(angle)], axis=1), rng.integers(0, 2**63, WALKERS).tolist()
-        goals = search.goal_distance * direction
+        goals = search.goal_distance * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        seeds = rng.integers(0, 2**63, WALKERS).tolist()
         tasks = [
             EpisodeTask(
                 member=walker,
@@ -121,7 +110,6 @@ def _walk(
         starts = [results.snapshots[walker, 0][0] for walker in walkers.tolist()]
         states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
         places, positions, is_upright, is_success = search.decode(states)
-        progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())
         parents, positions = np.concatenate([archive.parents, nodes]), np.concatenate([archive.positions, positions])
         nodes = len(archive.parents) + np.arange(len(walkers))
         archive = replace(archive, parents=parents, positions=positions)
@@ -129,4 +117,4 @@ def _walk(
             places[is_upright], states[is_upright], steps[is_upright], nodes[is_upright],
             is_success=is_success[is_upright],
         )  # fmt: skip
-    return archive, progress_m / (WALKERS * search.decisions * search.interval_s)
+    return archive
