@@ -121,9 +121,11 @@ def test_a_frozen_primitive_searches_until_a_way_is_known():
     assert [bool(state.archive.way_steps) for state in (*found, *limited)] == [True, True, False]
     later = found[1].env_steps - found[0].env_steps
     assert found[0].env_steps > limited[0].env_steps > later > 0  # afterwards it is one slice
-    frozen = build_algorithm(make_config("ant-maze", "laptop", {"primitive": "ant-walker"}))
-    of_each = [(each.slices, each.longest) for each in (frozen.hyperparameters.search, built().hyperparameters.search)]
-    assert of_each == [(way_search.SLICES, np.inf), (1, 20)]
+    cases = {}, {"primitive_estimate": "episode", "fitness_shaping": "centred_rank"}, {"primitive": "ant-walker"}
+    *others, frozen = (build_algorithm(make_config("ant-maze", "laptop", each)) for each in cases)
+    assert [each.hyperparameters.practice for each in (*others, frozen)] == [60, 0, 0]
+    searches = (each.hyperparameters.search for each in (frozen, built()))
+    assert [(each.slices, each.longest) for each in searches] == [(way_search.SLICES, np.inf), (1, 20)]
 
 
 def test_no_walker_leaves_later_than_the_horizon_allows():

@@ -80,13 +80,14 @@ def test_a_run_ends_with_the_generation_that_reaches_its_steps(tmp_path, tiny_ru
 
 def test_a_row_has_steps_and_time_and_a_run_gives_warnings(tmp_path):
     settings = {"primitive_view": "egocentric", "primitive_estimate": "interval", "controller_interval": 4}
-    settings |= {"practice": 1, "sigma_end": 0.05, "schedule_generations": 3}
-    late = "schedules end after 4 generations, but the run after 3: see --schedule-generations"
+    settings |= {"practice": 3, "sigma_end": 0.05, "schedule_generations": 3}
+    idle = "the controller does not learn: practice takes 3 generations: see --practice"
+    late = "schedules end after 6 generations, but the run after {}: see --schedule-generations"
     heard, told = [], "a branch has 12 steps, more than an episode (8): see --intervals"
     listener = SimpleNamespace(on_event=heard.append)
     path = runs.train_tiny(tmp_path / "run", **settings, horizon=8, intervals=3, generations=3, listener=listener)
     shes.resume(path, generations=4, listener=listener)
-    assert heard == [told, late, told]
+    assert heard == [told, idle, late.format(3), told, late.format(4)]
     assert told in runs.log_lines(path)
     table = read_csv(path / "progress.csv")
     assert table["generation"].tolist() == [1, 2, 3, 4]

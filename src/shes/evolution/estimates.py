@@ -50,11 +50,11 @@ class EvolutionSettings(Settings):
     learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 0.01
     """Learning rate (Table I, for Adam: 0.01)."""
     sigma_end: Annotated[float, Gt(0)] | None = None
-    """Sigma after schedule_generations, reached by a constant factor per generation; none for a constant sigma."""
+    """Sigma schedule_generations after practice, reached by a constant factor each; none for a constant sigma."""
     learning_rate_end: Annotated[float, Gt(0)] | None = None
     """The same for the learning rate."""
     schedule_generations: Annotated[int, Ge(1), Needs("sigma_end"), Needs("learning_rate_end")] = 1000
-    """Generations in which sigma and the learning rate reach their ends."""
+    """Generations after practice in which sigma and the learning rate reach their ends."""
     weight_decay: Annotated[float, Ge(0)] = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
     mirrored: Annotated[str, Choices(MIRRORINGS)] = "quad"

@@ -51,8 +51,8 @@ def by_episodes(settings: Any) -> tuple[bool, ...]:
 
 
 def practice(settings: Any) -> int:
-    """Return the number of generations in which the primitive alone learns: none if it is frozen."""
-    return settings.values.get("practice", 0) if learns(settings)[-1] else 0
+    """Return the number of generations in which the primitive alone learns: none without branches of its own."""
+    return settings.values.get("practice", 0) if is_branched(settings) and learns(settings)[-1] else 0
 
 
 def population(settings: Any) -> tuple[int, int]:
@@ -241,6 +241,8 @@ def warnings(settings: Any) -> list[str]:
         steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
         if steps > horizon:
             found.append(f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals")
+    if 0 < practice(settings) >= last:
+        found.append(f"the controller does not learn: practice takes {practice(settings)} generations: see --practice")
     if (evolution.sigma_end, evolution.learning_rate_end) != (None, None):
         end = practice(settings) + evolution.schedule_generations
         if last < end:
