@@ -61,12 +61,11 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         return state
     archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
     mean = (LevelParameters.of(state.levels[-1].theta, state.levels[-1].statistics),)
-    walk = {"kind": "exploration", "branch_steps": search.interval}
-    generation = Generation(levels=mean, sigma=0.0, episodes_per_policy=1, **walk)
+    walk = Generation(levels=mean, sigma=0, episodes_per_policy=1, kind="exploration", branch_steps=search.interval)
     for _ in range(search.slices):
         last_step = archive.env_steps + SLICE_STEPS
         while archive.env_steps < last_step:
-            archive = _walk(archive, search, generation, rng, backend)
+            archive = _walk(archive, search, walk, rng, backend)
         archive = archive.after_slice(search.longest)
         if archive.way_steps:
             break
