@@ -137,13 +137,15 @@ def test_no_walker_leaves_later_than_the_horizon_allows():
 
 @pytest.mark.parametrize(("estimate", "practice"), [("episode", 0), ("interval", 0), ("interval", 3)])
 def test_goals_wander_in_practice_and_until_a_way_is_known(estimate, practice):
-    algorithm = built(primitive_estimate=estimate, **({"practice": practice} if practice else {}))
+    schedules = {"practice": practice, "sigma_end": 0.01, "learning_rate_end": 1e-4, "schedule_generations": 1}
+    algorithm = built(primitive_estimate=estimate, **(schedules if practice else {}))
     state = replace(algorithm.start(3), generation=2)
     way = np.array([[0.0, 0], [3, 0.1], [6, 0], [6, 4]])
     known = replace(state, archive=replace(state.archive, way=way, way_steps=12), generation=max(2, practice))
     early = replace(known, generation=2) if practice else state
     before, after = (draw_episodes(each, algorithm.hyperparameters, algorithm.table.size) for each in (early, known))
     assert (before.generation.decisions, after.generation.decisions) == ("wander", None)
+    assert (after.generation.sigma, after.learning_rate) == (0.07, 0.01)  # the schedules begin after the practice
     assert after.generation.way.tolist() == way[1:].tolist()
     assert not before.generation.levels[0].theta.any()
     assert after.generation.levels[0].theta.tolist() == state.levels[0].theta.tolist()
@@ -187,9 +189,8 @@ def test_workers_and_a_resume_in_a_search_change_no_number(tmp_path):
     assert runs.differences(one, two) == []
     rows, state = read_csv(one / "progress.csv"), runs.state(one)
     assert len(state.archive.cells) == rows["cells"][2] > rows["cells"][1] > rows["cells"][0] == 1
-    steps = rows["exploration_steps"]
+    assert (steps := rows["exploration_steps"])[0] == 0  # the search begins after the practice
     assert rows["env_steps"][2] - steps[2] <= 3 * (160 + 64) < 2000 < steps[1]
-    assert steps[0] == 0  # the search begins after the practice
     assert state.archive.way_steps == rows["way_steps"][2] > 0
     assert min(rows["controller_return_mean"][1:]) > -20  # progress, while the target is 5 m away for 20 steps
     assert read_csv(one / "evaluation.csv")["return_mean"][0] < -80

@@ -71,8 +71,7 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
         assert task.kept_slot == (kept[group] if group < going else None)
         assert (task.records_statistics, task.snapshot_steps) == (True, ())
     generation = draws.generation
-    # The schedule's third, first or last generation: it begins after the practice.
-    assert generation.sigma == pytest.approx({0: 0.1, 2: 0.2, 3: 0.2}[practice])
+    assert generation.sigma == pytest.approx({0: 0.1, 2: 0.2, 3: 0.2}[practice])  # its schedule follows practice
     assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows_per_lane) == (2, 1, 2)
     assert (generation.branch_steps, generation.kind) == (2 * STEPS, "branch")
     assert [level.theta.tobytes() for level in generation.levels] == [state.levels[-1].theta.tobytes()]
