@@ -19,12 +19,12 @@ from shes.streams import Purpose, stream
 from tests.rollout.formula import SETTINGS, bits, evolving, formula_state
 from tests.rollout.plain_loop import play
 
-PAIRS = 6
-STEPS = 5
-"""Control steps of an interval."""
+PAIRS, STEPS = 6, 5
+"""Number of pairs, and control steps of an interval."""
 HORIZON = 23
 """Control steps of an episode: the last interval is cut short."""
-PAIRED = EvolutionSettings(population_size=2 * PAIRS, sigma=0.2, sigma_end=0.1, schedule_generations=2)
+FALLING = {"sigma": 0.2, "sigma_end": 0.1, "learning_rate": 0.2, "learning_rate_end": 0.1, "schedule_generations": 2}
+PAIRED = EvolutionSettings(population_size=2 * PAIRS, **FALLING)
 ESTIMATE = IntervalEstimate(evolution=PAIRED, intervals=2, controller_interval=STEPS, goal_distance=4.0)
 BESIDE = replace(SETTINGS, intervals=ESTIMATE, horizon=HORIZON)
 ALONE = replace(BESIDE, updates=SETTINGS.updates[:1], learns=(True,))
@@ -70,8 +70,8 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
         assert bits(task.start) == bits(starts[group])
         assert task.kept_slot == (kept[group] if group < going else None)
         assert (task.records_statistics, task.snapshot_steps) == (True, ())
-    generation = draws.generation
-    assert generation.sigma == pytest.approx({0: 0.1, 2: 0.2, 3: 0.2}[practice])  # its schedule follows practice
+    generation, rate = draws.generation, {0: 0.1, 2: 0.2, 3: 0.2}[practice]  # schedules follow practice
+    assert (generation.sigma, draws.learning_rate) == pytest.approx((rate, rate))
     assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows_per_lane) == (2, 1, 2)
     assert (generation.branch_steps, generation.kind) == (2 * STEPS, "branch")
     assert [level.theta.tobytes() for level in generation.levels] == [state.levels[-1].theta.tobytes()]
