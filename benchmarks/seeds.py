@@ -4,10 +4,9 @@
 - `coevolved`: both levels together from scratch (`shes train ant-gather`; with `--body point`, the point's twin).
 
 Every run can be interrupted at any time: the same command goes on, with several workers or runs at once. The
-tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and
+tables have rows for the best and the last checkpoint of each run over 200 fresh episodes of the task as specified, and
 rows for the best of nine constant controllers and for random goals on the same primitive; on a shipped walker, which
-all seeds share, these two once. From scratch with a learning rate that falls, the last checkpoint takes the place of
-the best one.
+all seeds share, these two once.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import Any
 from run import write_csv
 
 import shes
-from shes.runs.folder import RunFolder
 from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
 from shes.runs.train import finish_run
@@ -64,9 +62,8 @@ def results(way: str, seed: int, path: Path, controllers: Sequence[Any]) -> tupl
         "env_steps": int(progress["env_steps"][-1]),
         "wall_time_s": round(progress["wall_time_s"][-1]),
     }
-    has_schedule = way == "coevolved" and RunFolder(path).read_config().evolution.learning_rate_end is not None
-    rows, checkpoint = [], "last" if has_schedule else "best"
-    for controller in controllers:
+    rows = []
+    for checkpoint, controller in [("last", "trained"), *(("best", each) for each in controllers)]:
         found = shes.evaluate(path, episodes=EPISODES, controller=controller, checkpoint=checkpoint)
         names = ("score_mean", "score_std", "success_rate", "return_mean", "episode_steps_mean")
         rows.append(
@@ -104,7 +101,7 @@ def main() -> None:
             if asked.results is not None:
                 shares_primitive = way == "frozen" and seed != asked.seeds[0]
                 found, curve = results(way, seed, path, CONTROLLERS[:1] if shares_primitive else CONTROLLERS)
-                print(f"{way}, seed {seed}: score {found[0]['score_mean']:.2f}", flush=True)
+                print(f"{way}, seed {seed}: score {found[1]['score_mean']:.2f}", flush=True)
                 rows += found
                 curves += curve
     if asked.results is not None:

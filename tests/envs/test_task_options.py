@@ -32,7 +32,7 @@ def test_gymnasium_takes_the_options_of_the_task():
 
 
 def test_the_reward_is_the_progress_along_the_way():
-    task, both = make_task("point-maze", 2, target=(6.0, 8.0), reset_noise=0.0), np.arange(2)
+    task, both, left = make_task("point-maze", 2, target=(6.0, 8.0), reset_noise=0.0), np.arange(2), np.zeros(2)
     task.set_way(np.array([[6.0, 0.0], [6.0, 4.0]]))
 
     def rewards(*places):
@@ -42,37 +42,37 @@ def test_the_reward_is_the_progress_along_the_way():
     def start(seeds, *lengths):
         task.reset(both[: len(seeds)], seeds)
         assert rewards((0, 0), (0, 0))[: len(seeds)].tolist() == [0] * len(seeds)  # nothing came before
-        left[: len(seeds)] = lengths
+        left[: len(seeds)] = np.subtract(lengths, 5)  # up to success, 5 m from the target
 
     def left_at(*places):
         left[:] -= rewards(*places)
-        return left.tolist()
+        return (left + 5).tolist()
 
-    left = np.zeros(2)
     start([1, 2], 14, 14)
     # The second robot stays, so that an index shared by the episodes would show.
     assert left_at((2.9, 0), (0, 0)) == pytest.approx([11.1, 14])  # 3.1 m from the first
     assert left_at((3.1, 0), (0, 0)) == pytest.approx([np.hypot(2.9, 4) + 4, 14])  # 2.9 m from it: passed
     assert left_at((0, 0), (0, 0)) == pytest.approx([np.hypot(6, 4) + 4, 14])  # and it stays so
     assert left_at((6, 1.5), (0, 0)) == pytest.approx([6.5, 14])
-    assert left_at((6, 8), (0, 0)) == pytest.approx([0, 14])
-    assert task.distance.tolist() == [0, 10]
+    assert left_at((6, 8), (0, 0)) == pytest.approx([5, 14])
+    assert (task.distance.tolist(), task.terminated.tolist()) == ([0, 10], [True, False])  # it ends by success
     start([3], 14)
     assert left_at((0, 0), (6, 0)) == pytest.approx([14, 8])
     # Between 3 and 8 m of a waypoint it is passed where the next one is nearer.
     start([3, 4], 14, 14)
     assert left_at((13.5, 2.1), (-1, 5)) == pytest.approx([np.hypot(7.5, 1.9) + 4, np.hypot(7, 5) + 8])
-    assert left_at((2, 6.1), (1, 1.9)) == pytest.approx([np.hypot(4, 1.9), np.hypot(5, 1.9) + 8])
+    assert left_at((2, 6.1), (1, 1.9)) == pytest.approx([5, np.hypot(5, 1.9) + 8])
     # One that begins on the way begins at its nearest point.
     task.set_way(np.array([[0.0, 90.0], [0.0, 80.0], [6.0, 4.0]]))
     task.reset(both, [5, 6], [None, task.states(both)[1]])
     assert rewards((0, 0), (6, 5)).tolist() == [0, 0]
-    left[:] = np.hypot(6, 4) + 4, 3
-    assert left_at((0, 0), (6, 6)) == pytest.approx([np.hypot(6, 4) + 4, 2])
+    left[:] = np.hypot(6, 4) - 1, 0
+    assert left_at((0, 0), (6, 6)) == pytest.approx([np.hypot(6, 4) + 4, 5])
+    task.set_way(None)
+    assert not task.terminated.any()
 
 
-TILTS = np.deg2rad([0, 44, 46, 180, -46])
-TOO_FAR = [False, False, True, True, True]
+TILTS, TOO_FAR = np.deg2rad([0, 44, 46, 180, -46]), [False, False, True, True, True]
 
 
 @pytest.mark.parametrize(("limit", "evaluation"), [(45.0, False), (45.0, True), (None, False)])

@@ -68,10 +68,8 @@ class TargetTask(Task):
 
     def allocate(self) -> None:
         """Allocate targets, the way to them, and the observation."""
-        own_target = self.xp.asarray(self.own_target, dtype=np.float64)
-        self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
+        self.target: F64Array = self.xp.tile(self.xp.asarray(self.own_target, np.float64), (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3], in units of `scale`."""
-        self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # points of the way passed
         self.falls_end = self.ends_early = self.min_cos_tilt is not None
         if self.options.spec == "hiro":
             self.primitive_view = self.primitive_view[: -len(self.own_target)]
@@ -84,17 +82,16 @@ class TargetTask(Task):
         legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
         self.num_waypoints = len(legs)
         self._way: F64Array = self.xp.asarray(ends)  # its points and, last, the target
-        self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
-        self._next[:] = 0  # rows that are not reset may have passed more points than there are now
+        self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0) - SUCCESS_DISTANCE_M)
+        self._next: IntArray = self.xp.zeros(self.num_episodes, np.int64)  # points of the way passed
         self._left: F64Array = self.xp.full(self.num_episodes, np.nan)  # of the path at the last step
 
     def places(self, states: F64Array) -> Places:
         """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`."""
-        nq, size = self.body.num_qpos, len(self.own_target)
-        position = self.body.position(states, size)
+        nq, target = self.body.num_qpos, np.array(self.options.target or self.own_target)
+        position = self.body.position(states, len(target))
         block = states[:, nq : nq + len(self.block_axes)] / self.scale
         steps = (position[:, :2] / CELL_M, position[:, 2:] / BLOCK_CELL_M, block / BLOCK_CELL_M)
-        offset = position - np.array(self.options.target or self.own_target)
         is_upright = ~self.body.fallen(states[:, :nq], self.ground_m * self.scale)
         if self.body.quaternion is not None:
             is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
@@ -102,7 +99,7 @@ class TargetTask(Task):
             cells=np.round(np.concatenate(steps, axis=1)).astype(np.int64),
             positions=np.concatenate([position, block], axis=1) if self.leads_block else position,
             is_upright=is_upright,
-            is_success=np.sqrt((offset**2).sum(axis=1)) < SUCCESS_DISTANCE_M,
+            is_success=np.sqrt(((position - target) ** 2).sum(axis=1)) < SUCCESS_DISTANCE_M,
         )
 
     @classmethod
@@ -147,6 +144,11 @@ class TargetTask(Task):
         return np.sqrt(sum(offset[..., axis] for axis in range(offset.shape[-1])))
 
     @property
+    def terminated(self) -> BoolArray:
+        """Whether a fall has ended the episode or, on a way, success [N]: there is nothing left to learn from it."""
+        return super().terminated | (self.success & (self.num_waypoints > 0))
+
+    @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
         return np.where(self.terminated & (self.num_waypoints == 0), self.reward, 0.0)
@@ -174,8 +176,7 @@ class TargetTask(Task):
         chosen = np.array([fixed if square is None else rng.uniform(*square, 2) for rng in rngs])
         rows = self.xp.asarray(ids)
         self.target[rows] = self.xp.asarray(chosen)
-        self._next[rows] = 0
-        self._left[rows] = np.nan
+        self._next[rows], self._left[rows] = 0, np.nan
 
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start new episodes; those in a given state begin at the nearest point of the way."""
@@ -185,17 +186,16 @@ class TargetTask(Task):
             self._next[rows] = self._distance_to(self._way[:, None]).argmin(axis=0)[rows]
 
     def update_features(self) -> F64Array:
-        """Return the reward [N]: minus the distance to the target, or the progress through the waypoints."""
+        """Return the reward [N]: minus the distance to the target, or the progress along the way up to success."""
         if not self.num_waypoints:
             return -self.distance
         distance = self._distance_to(self._way[self._next])
         beyond = self._distance_to(self._way[np.minimum(self._next + 1, self.num_waypoints)])
         passed = (distance < PASSED_DISTANCE_M) | ((distance < BYPASSED_DISTANCE_M) & (beyond < distance))
         self._next += passed & (self._next < self.num_waypoints)
-        left = self._distance_to(self._way[self._next]) + self._way_beyond[self._next]
-        progress = np.where(np.isnan(self._left), 0.0, self._left - left)
-        self._left = left
-        return progress
+        before, left = self._left, self._distance_to(self._way[self._next]) + self._way_beyond[self._next]
+        self._left = np.maximum(left, 0.0)
+        return np.where(np.isnan(before), 0.0, before - self._left)
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
