@@ -17,10 +17,8 @@ from shes.runs.tables import read_csv
 from tests.e2e import runs
 from tests.rollout.made_up import outcomes
 
-SEARCH = {
-    "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4,
-    "target": (5.5, 0.0), "explore_horizon": 60,
-}  # fmt: skip
+SEARCH = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "explore_horizon": 60}
+SEARCH["target"] = (5.5, 0.0)
 WALKERS = way_search.WALKERS
 
 
@@ -178,6 +176,13 @@ def test_half_of_the_groups_begin_on_the_way():
     assert 10 <= first.count(None) <= 30  # of 40
     assert [own for own in known.starts.tolist() if own not in first] == []
     assert first != second
+
+
+@pytest.mark.parametrize(("estimate", "steps"), [("interval", 1), ("episode", 20)])
+def test_along_a_way_success_ends_episodes_unless_the_primitive_earns_in_them(tmp_path, estimate, steps):
+    settings = {**SEARCH, "primitive_estimate": estimate, "target": (4.0, 0.0), "generations": 2}
+    rows = read_csv(runs.train_tiny(tmp_path / "run", "point-maze", **settings) / "progress.csv")
+    assert (rows["way_steps"][-1] > 0, rows["episode_steps_mean"][-1]) == (True, steps)
 
 
 def test_workers_and_a_resume_in_a_search_change_no_number(tmp_path):

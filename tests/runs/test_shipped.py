@@ -51,9 +51,6 @@ def test_what_is_no_agent_is_refused_by_saying_why(elsewhere, monkeypatch):
         read_agent("x")
 
 
-# Use; more is in tests/cli/test_commands.py.
-
-
 def test_the_primitive_of_a_shipped_agent_is_brought_by_name(elsewhere):
     path = runs.train_tiny(Path("run"), "ant-gather", primitive="ant-walker", generations=1)
     record = json.loads((path / "config.json").read_text())

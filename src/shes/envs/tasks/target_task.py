@@ -144,11 +144,6 @@ class TargetTask(Task):
         return np.sqrt(sum(offset[..., axis] for axis in range(offset.shape[-1])))
 
     @property
-    def terminated(self) -> BoolArray:
-        """Whether a fall has ended the episode or, on a way, success [N]: there is nothing left to learn from it."""
-        return super().terminated | (self.success & (self.num_waypoints > 0))
-
-    @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is, and make no progress on a path."""
         return np.where(self.terminated & (self.num_waypoints == 0), self.reward, 0.0)
