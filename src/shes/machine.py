@@ -1,14 +1,17 @@
-"""Cores, memory and disk that this process may use, within the limits of containers."""
+"""Cores, memory and disk that this process may use, within the limits of containers, and signals that must wait."""
 
 from __future__ import annotations
 
 import os
 import resource
 import shutil
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 _OWN_GROUPS = Path("/proc/self/cgroup")
 _ROOT = Path("/sys/fs/cgroup")
@@ -89,3 +92,19 @@ def free_disk(path: Path) -> int:
     place = path.absolute()
     usage = shutil.disk_usage(next(each for each in (place, *place.parents) if each.exists()))
     return usage.free if usage.total else 2**63  # /proc has no size: writing there shows what is wrong
+
+
+@contextmanager
+def end_delayed() -> Iterator[None]:
+    """Handle SIGTERM after the block: an environment that it leaves half made could never be closed."""
+    handle, late = signal.getsignal(signal.SIGTERM), list[Any]()
+    if not callable(handle) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGTERM, lambda *received: late.append(received))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, handle)
+        if late:
+            handle(*late[0])

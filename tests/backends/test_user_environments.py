@@ -14,6 +14,7 @@ from tests.e2e import runs
 
 MODULE = """
 import os
+import time
 from pathlib import Path
 import gymnasium
 import numpy as np
@@ -29,6 +30,7 @@ class Env(gymnasium.Env):
     def __init__(self, render_mode=None, fault=""):
         self.fault, self.memory = fault, np.ones(5 * 10**7 if fault == "heavy" else 1)
         self.note("made")
+        time.sleep(0.1 if fault == "slow" else 0)
 
     def reset(self, *, seed=None, options=None):
         self.steps = 0
@@ -45,7 +47,7 @@ class Env(gymnasium.Env):
         if self.fault == "close":
             raise OSError("the window is gone")
 
-for fault in ("", "key", "close", "heavy"):
+for fault in ("", "key", "close", "heavy", "slow"):
     gymnasium.register(f"User{fault.title()}-v0", Env, max_episode_steps=5, kwargs={"fault": fault})
 """
 SETTINGS = {"algorithm": "es", "preset": "smoke", "generations": 1, "hidden": (4,)}
@@ -99,8 +101,8 @@ def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
 def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch, number):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})
-    process = runs.start("train", "gymnasium:User-v0", "--import", "users_module", *words)
-    runs.wait_for_generation(process, tmp_path / "run", 2)
+    process = runs.start("train", "gymnasium:UserSlow-v0", "--import", "users_module", *words)
+    runs.wait_until(lambda: (tmp_path / "diary").exists() and len(diary()[0]) > 6, "workers make environments")
     process.send_signal(number) if number == signal.SIGTERM else os.killpg(process.pid, number)
     assert runs.finish(process)[0] == 130
     made, closed = diary()

@@ -24,7 +24,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external_reader import LARGEST, ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
-from shes.machine import resident_memory
+from shes.machine import end_delayed, resident_memory
 from shes.registry import full_name
 from shes.settings import Example
 from shes.sim.simulator import DIVERGENCE, CpuSimulator, log_physics_warnings
@@ -146,7 +146,9 @@ class ExternalTask(EpisodeBatch):
 
     def _env(self, i: int) -> gymnasium.Env[Any, Any]:
         """Return environment `i`, which is made at the first call."""
-        env = self._envs[i] = self._envs[i] or self.environment.make_one(self._render_mode)
+        if (env := self._envs[i]) is None:
+            with end_delayed():
+                env = self._envs[i] = self.environment.make_one(self._render_mode)
         return env
 
     def draw_by(self, mode: str) -> None:

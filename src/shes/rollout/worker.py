@@ -16,6 +16,7 @@ from shes.envs.named_environments import EnvironmentMaker
 from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
+from shes.machine import end_delayed
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import NumberedTask, Rollout
 from shes.sim.simulator import CpuSimulator
@@ -183,7 +184,8 @@ class RolloutWorker:
                 WarpDevice(plan.device).release_memory()
             options, horizon, design = plan.of(generation)
             make = partial(plan.env.make, options=options, simulator=plan.simulator)
-            self._rollouts[kind] = Rollout(design, make, *shape[:2], horizon, generation.members_per_lane)
+            with end_delayed():
+                self._rollouts[kind] = Rollout(design, make, *shape[:2], horizon, generation.members_per_lane)
         return self._rollouts[kind]
 
     def _most_lanes(self, generation: Generation, share: int) -> int:
