@@ -90,7 +90,6 @@ class ExportedAgent:
         vectors = {
             "vector": complex(*out[:2]),
             "direction": complex(*out[:2]) / max(abs(complex(*out[:2])), 1e-9) * boss["goal_distance_m"],
-            "heading_vector": way * boss["goal_distance_m"],
             "heading_direction": way / max(abs(way), 1e-9) * boss["goal_distance_m"],
             "one_hot": max(out.max(), 1.0) * unit((out.argmax() + 1) * (np.pi / 4) - np.pi + heading),
         }

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
 from pathlib import Path
-from typing import Any
 
 _OWN_GROUPS = Path("/proc/self/cgroup")
 _ROOT = Path("/sys/fs/cgroup")
@@ -97,14 +96,14 @@ def free_disk(path: Path) -> int:
 @contextmanager
 def end_delayed() -> Iterator[None]:
     """Handle SIGTERM after the block: an environment that it leaves half made could never be closed."""
-    handle, late = signal.getsignal(signal.SIGTERM), list[Any]()
-    if not callable(handle) or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signal.signal(signal.SIGTERM, lambda *received: late.append(received))
+    handler, late = signal.getsignal(signal.SIGTERM), list[int]()
+    is_ours = callable(handler) and threading.current_thread() is threading.main_thread()
+    if is_ours:
+        signal.signal(signal.SIGTERM, lambda number, _: late.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, handle)
-        if late:
-            handle(*late[0])
+        if is_ours:
+            signal.signal(signal.SIGTERM, handler)
+        for number in late[:1]:
+            signal.raise_signal(number)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shes.agents.equivariant import EquivariantMLP, sector_actions
-from shes.agents.goals import HeadingVectorOutput, SectorOutput
+from shes.agents.goals import SectorOutput, VectorOutput
 from shes.agents.mlp import MLP
 from tests.rollout import plain_agent
 
@@ -81,5 +81,5 @@ def test_pooled_sums_are_averages_over_exchanged_inputs(name):
 def test_outputs_along_a_sector_give_a_goal_at_full_distance():
     """Equal outputs cancel; that goals turn with the outputs is in `rollout/test_agent.py`."""
     along = np.cos(-np.pi + (np.arange(10) + 0.5) * np.pi / 5)
-    goals = SectorOutput(10, HeadingVectorOutput()).vector(np.stack([along, np.ones(10)]), np.zeros(2), 4.0)
+    goals = SectorOutput(10, VectorOutput()).vector(np.stack([along, np.ones(10)]), np.zeros(2), 4.0)
     np.testing.assert_allclose(goals, [[4.0, 0.0], [0.0, 0.0]], atol=1e-6)

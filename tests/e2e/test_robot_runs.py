@@ -62,7 +62,7 @@ def test_a_run_goes_on_elsewhere_and_without_the_file(robot, trained, tmp_path):
 
 @pytest.mark.parametrize("env", ["flagrun", "gather"])
 def test_an_exported_agent_acts_as_ours(robot, trained, tmp_path, env):
-    own = {"controller_view": "sectors", "controller_output": "heading_vector", "generations": 1}
+    own = {"controller_view": "sectors", "controller_output": "heading_direction", "generations": 1}
     path = trained if env == "flagrun" else runs.train_tiny(tmp_path / "run", env, primitive=str(trained), **own)
     (file,) = shes.export(path, tmp_path / "policy.npz")
     exported = runpy.run_path(str(EXAMPLE), run_name="run_exported")["ExportedAgent"](file)

@@ -100,7 +100,7 @@ BY_ENVIRONMENT = {
         },
     },
     "point-push": {
-        "branches": {**BRANCHES, "controller_output": "heading_vector", "goal_encoding": "vector"},
+        "branches": {**BRANCHES, "controller_output": "heading_direction", "goal_encoding": "vector"},
         "position": {"controller_view": "position", "controller_output": "direction"},
     },
     # Many members are paid the same here, so that it matters how ties rank.

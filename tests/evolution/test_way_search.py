@@ -178,13 +178,6 @@ def test_half_of_the_groups_begin_on_the_way():
     assert first != second
 
 
-@pytest.mark.parametrize(("estimate", "steps"), [("interval", 1), ("episode", 20)])
-def test_along_a_way_success_ends_episodes_unless_the_primitive_earns_in_them(tmp_path, estimate, steps):
-    settings = {**SEARCH, "primitive_estimate": estimate, "target": (4.0, 0.0), "generations": 2}
-    rows = read_csv(runs.train_tiny(tmp_path / "run", "point-maze", **settings) / "progress.csv")
-    assert (rows["way_steps"][-1] > 0, rows["episode_steps_mean"][-1]) == (True, steps)
-
-
 def test_workers_and_a_resume_in_a_search_change_no_number(tmp_path):
     """The way leads the reward of training alone, and the steps of the search are steps of the run."""
     settings = {**SEARCH, "primitive_estimate": "interval", "practice": 1, "target": (5.7, 0.0)}

@@ -12,7 +12,7 @@ from tests.e2e.own_classes import Nearness, Vector
 from tests.messages import raises
 from tests.rollout import plain_agent
 
-TURNS = ("one_hot", "heading_vector", "heading_direction")
+TURNS = ("one_hot", "heading_direction")
 """Outputs that turn with the robot."""
 EDGES = np.array([(0, 0), (1e-3, 0), (1e-170, -1e-170), (5e-324, 5e-324), (-30, 40), (-2, -2)])
 ROWS = 200

@@ -39,7 +39,7 @@ CHOICES = {
     "egocentric": (
         "ant-gather",
         {**EGOCENTRIC, "symmetry": "dihedral", "controller_network": "mlp", "controller_view": "egocentric",
-         "controller_output": "heading_vector", "primitive_reward": "metres"},
+         "controller_output": "heading_direction", "primitive_reward": "metres"},
     ),
     "equivariant": (
         "point-gather",

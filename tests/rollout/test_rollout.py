@@ -27,7 +27,7 @@ GROUPS = {**TRAINING, "episodes_per_policy": 1, "members_per_lane": 4}
 CASES = {
     "both": (DESIGN, FREE, TRAINING),
     "evaluation": (designs.both("one_hot", clock=designs.CLOCK, is_minimum=False, distance=1.0), FREE, EVALUATION),
-    "frozen control": (designs.both("heading_vector", reward="metres"), FREE, {**TRAINING, "has_frozen_control": True}),
+    "frozen control": (designs.both("direction", reward="metres"), FREE, {**TRAINING, "has_frozen_control": True}),
     "one episode": (DESIGN, FREE, {**TRAINING, "episodes_per_policy": 1}),  # another path through BLAS
     "groups": (DESIGN, FREE, GROUPS),
     "groups, two episodes": (designs.flat(designs.CLOCK), FREE, {**GROUPS, "episodes_per_policy": 2}),

@@ -132,7 +132,7 @@ def walking(monkeypatch):
     monkeypatch.setattr(EvolutionAlgorithm, "parameters", parameters)
 
 
-@pytest.mark.parametrize("output", ["vector", "heading_vector", "one_hot"])
+@pytest.mark.parametrize("output", ["vector", "heading_direction", "one_hot"])
 def test_the_best_of_nine_constant_controllers_counts(tmp_path, walking, monkeypatch, output, capsys):
     def act(agent, inputs):
         is_due = np.repeat(agent.clock % agent.design.controller_interval == 0, agent.rows_per_lane)

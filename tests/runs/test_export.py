@@ -37,7 +37,7 @@ KINDS = {
     ),
     "sectors": (
         "ant-gather",
-        {"controller_view": "sectors", "controller_output": "heading_vector", "goal_encoding": "angle",
+        {"controller_view": "sectors", "controller_output": "heading_direction", "goal_encoding": "angle",
          "controller_interval": 5},
     ),
     "equivariant": (
@@ -47,7 +47,7 @@ KINDS = {
     "position": ("point-push", {"controller_view": "position", "controller_output": "direction"}),
     "rotations": (
         "ant-push",
-        {**EGOCENTRIC, "symmetry": "rotation", "controller_view": "egocentric", "controller_output": "heading_vector"},
+        {**EGOCENTRIC, "symmetry": "rotation", "controller_view": "egocentric", "controller_output": "vector"},
     ),
 }  # fmt: skip
 STEPS = 60

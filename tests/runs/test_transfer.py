@@ -79,7 +79,7 @@ TRANSFERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
          "freeze_primitive": True},
     ),
     "walker": (  # two policies are a whole population: only the controller is mirrored
-        "primitive", "ant-gather", {"population_size": 2, "controller_output": "heading_vector",
+        "primitive", "ant-gather", {"population_size": 2, "controller_output": "heading_direction",
                                     "controller_view": "egocentric"},
         {**WALKER, "primitive_hidden": (5,), "primitive_estimate": "episode"},
     ),

@@ -75,18 +75,6 @@ class VectorOutput(ControllerOutput):
         return output.astype(np.float64) * goal_distance
 
 
-class HeadingVectorOutput(VectorOutput):
-    """Vector to the goal relative to the heading (ahead, left), in goal distances.
-
-    Deviation: the paper's controller outputs a vector in the world frame. If the task's observation is relative to the
-    heading, as in Gather, the network then has to learn the rotation first.
-    """
-
-    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
-        """Return `output` times the goal distance, rotated by the heading."""
-        return turned_back(super().vector(output, heading, goal_distance), -heading)
-
-
 class DirectionOutput(VectorOutput):
     """Direction of the goal in the world frame, at the goal distance.
 
@@ -102,8 +90,12 @@ class DirectionOutput(VectorOutput):
         return super().vector(values / np.maximum(length, 1e-9), heading, goal_distance)
 
 
-class HeadingDirectionOutput(HeadingVectorOutput, DirectionOutput):
+class HeadingDirectionOutput(DirectionOutput):
     """Direction of the goal relative to the heading (ahead, left), at the goal distance; see `DirectionOutput`."""
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector of length `goal_distance`, rotated by the heading."""
+        return turned_back(super().vector(output, heading, goal_distance), -heading)
 
 
 class OneHotOutput(ControllerOutput):
@@ -113,11 +105,8 @@ class OneHotOutput(ControllerOutput):
     5 left, output 7 straight behind. The first of equal outputs is selected. The distance is at least 1 m.
 
     Source: `onehot_forward` of the authors' code (policy.jl); not in the paper.
-    Deviation: the authors add 1/8 to the angle in radians, which rotates every goal 7 degrees to the left, so that none
-    is straight ahead. This offset is omitted.
-
-    Deviation: in Gather the authors use the angles of its ten sensors, 36 degrees apart, with eight outputs. No goal
-    lies within the 108 degrees behind to the left. Here all tasks have the same eight directions.
+    Deviation: the authors add 1/8 to the angle in radians, so that no goal is straight ahead, and in Gather their eight
+    directions are 36 degrees apart, so that none lies within the 108 degrees behind to the left.
     """
 
     size = 8
@@ -164,7 +153,6 @@ CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
     {
         "vector": VectorOutput,
         "direction": DirectionOutput,
-        "heading_vector": HeadingVectorOutput,
         "heading_direction": HeadingDirectionOutput,
         "one_hot": OneHotOutput,
     },

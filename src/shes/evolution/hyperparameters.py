@@ -160,13 +160,12 @@ def _check_frames(settings: Any) -> None:
         )
     if is_alone(settings) or hierarchy.controller_network != "equivariant":
         return
-    allowed = {"controller_view": ("sectors",), "controller_output": ("heading_direction", "heading_vector")}
-    for name, values in allowed.items():
+    for name, allowed in {"controller_view": "sectors", "controller_output": "heading_direction"}.items():
         value = getattr(hierarchy, name)
-        if value not in values:
+        if value != allowed:
             raise ConfigError(
                 f"controller_network is 'equivariant', but {name} is {value!r}, which does not turn with the robot. "
-                f"Set {flag(name)} {' or '.join(values)}, or --controller-network mlp."
+                f"Set {flag(name)} {allowed}, or --controller-network mlp."
             )
 
 

@@ -79,10 +79,8 @@ def _walk(
     """Return the archive after a few decisions of walkers that begin in its cells."""
     cells = archive.choose(rng, WALKERS, search.horizon - search.decisions * search.interval)
     archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
-    starts = [
-        Snapshot(state=archive.states[cell] if archive.steps[cell] else None, steps=int(archive.steps[cell]))
-        for cell in cells
-    ]
+    steps = archive.steps[cells].tolist()
+    starts = [Snapshot(state=archive.states[i] if n else None, steps=n) for i, n in zip(cells, steps, strict=True)]
     walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
     for angle in wander(rng, search.decisions, WALKERS):
         goals = search.goal_distance * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -108,12 +106,9 @@ def _walk(
             break
         starts = [results.snapshots[walker, 0][0] for walker in walkers.tolist()]
         states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
-        places, positions, is_upright, is_success = search.decode(states)
+        places, positions, up, is_success = search.decode(states)
         parents, positions = np.concatenate([archive.parents, nodes]), np.concatenate([archive.positions, positions])
         nodes = len(archive.parents) + np.arange(len(walkers))
         archive = replace(archive, parents=parents, positions=positions)
-        archive = archive.entered(
-            places[is_upright], states[is_upright], steps[is_upright], nodes[is_upright],
-            is_success=is_success[is_upright],
-        )  # fmt: skip
+        archive = archive.entered(places[up], states[up], steps[up], nodes[up], is_success=is_success[up])
     return archive

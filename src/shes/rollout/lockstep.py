@@ -133,8 +133,6 @@ class Rollout:
         steps that end no episode. A PolicyError is raised for a policy that returned NaN or infinity.
         """
         self.batch.set_way(generation.way)
-        # A primitive that learns from whole episodes would lose what it earns until the horizon.
-        self._ends_at_success = generation.way is not None and generation.has_frozen_control
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals
         self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
@@ -221,9 +219,7 @@ class Rollout:
             # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
             self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
         paid = perf_counter()
-        is_over = batch.terminated | batch.diverged
-        is_over = is_over | batch.success if self._ends_at_success else is_over
-        ended = self._is_running & (to_host(is_over) | (self._steps >= self.horizon))
+        ended = self._is_running & (to_host(batch.terminated | batch.diverged) | (self._steps >= self.horizon))
         physics_s, policy_s = batch.physics_s - physics_s, acted - observed + paid - stepped
         # A device may compute the physics in the background, so the task's time is the remainder.
         self._seconds += (physics_s, policy_s, perf_counter() - start - physics_s - policy_s)
