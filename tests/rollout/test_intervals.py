@@ -55,8 +55,9 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
     seeds, kept = rng.integers(0, 2**63, PAIRS).tolist(), rng.integers(0, 2, PAIRS).tolist()
     starts = ends[:going]
     if before:
+        goes_on = rng.random(going) >= 0.3
         goals = [[(4 * np.cos(angle), 4 * np.sin(angle)) for angle in own] for own in wander(rng, 2, going).T]
-        resets = [end or Snapshot(state=None, steps=0) for end in starts]
+        resets = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(starts)]
         starts = [replace(end, goals=np.array(own)) for end, own in zip(resets, goals, strict=True)]
         order = rng.permutation(number)
         starts += [left[order[group % number]] for group in range(PAIRS - going)]

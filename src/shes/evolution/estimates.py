@@ -32,9 +32,10 @@ from shes.settings import Choices, Ge, Gt, Le, Needs, Settings, Shown
 from shes.streams import Purpose, stream
 from shes.types import IntArray
 
+NEW_EPISODE = 0.3
+"""Probability that an episode with goals that wander ends before a branch: else robots would gather at walls."""
 _ENOUGH_ROWS = 3
-"""Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all members,
-which costs more than it saves where a worker runs only a few episodes."""
+"""Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,9 +242,6 @@ def _starts_on_way(state: TrainState, settings: Hyperparameters, groups: int) ->
     return [Snapshot(state=known[i], steps=0) if is_on_way[group] else None for group, i in enumerate(places.tolist())]
 
 
-_RESET = Snapshot(state=None, steps=0)
-
-
 def draw_pairs(
     state: TrainState, settings: Hyperparameters, table_size: int, before: Sequence[Population] = ()
 ) -> Draws:
@@ -251,7 +249,7 @@ def draw_pairs(
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
     running episodes with goals that wander belong to all pairs. With a search, half of them go on: beginners among the
-    controllers set goals behind walls, and robots that often stand there unlearn to walk.
+    controllers set goals behind walls. Robots that often stand there unlearn to walk, so these episodes are short.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -264,9 +262,11 @@ def draw_pairs(
         snapshots = [each for one in before for own in one.results.snapshots.values() for each in own]
         if snapshots and not settings.is_practice(state):
             running = [] if archive is None else running[: groups // 2]
+        goes_on = (rng.random(len(running)) >= NEW_EPISODE).tolist()
         angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
-        running = [replace(end or _RESET, goals=own) for end, own in zip(running, goals, strict=True)]
+        ends = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(running)]
+        running = [replace(end, goals=own) for end, own in zip(ends, goals, strict=True)]
         order = rng.permutation(len(snapshots))
         drawn = [snapshots[order[group % len(order)]] for group in range(groups - len(running))]
     tasks = [
