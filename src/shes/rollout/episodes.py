@@ -102,8 +102,7 @@ class Generation:
     decisions: Decisions | None = None
     """Added to the outputs of the deciding level, whose parameters in `levels` are then 0; None for its own outputs."""
     way: F64Array | None = None
-    """Waypoints [points, X] to the target in metres; None without a way. With `has_frozen_control`, success then ends
-    an episode: what follows would weigh as much in the ranks, and branches would begin there."""
+    """Waypoints [points, X] to the target in metres; None without a way."""
 
     @property
     def rows_per_lane(self) -> int:
