@@ -36,7 +36,7 @@ ALONE = replace(BESIDE, updates=SETTINGS.updates[:1], learns=(True,))
 @pytest.mark.parametrize(
     ("number", "way_steps", "practice", "going"),
     [(None, None, 0, 6), (0, None, 0, 6), (4, None, 0, 0), (40, None, 2, 0), (40, None, 3, 6),
-     (4, 0, 0, 6), (4, 300, 2, 3), (40, 300, 0, 3), (0, 300, 0, 6), (4, 300, 3, 6)],
+     (4, 0, 0, 6), (4, 300, 2, 3), (40, 300, 0, 4), (5, 300, 0, 6), (0, 300, 0, 6), (4, 300, 3, 6)],
 )  # fmt: skip
 def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice, going):
     """Snapshots are used evenly; practice and a search run on, too. Pairs of a task share noise, seed and start."""
@@ -47,7 +47,9 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
         state, settings = replace(state, levels=state.levels[1:]), ALONE
     else:
         left = [Snapshot(state=np.full(4, float(n)), steps=STEPS * n, goals=np.ones((2, 2))) for n in range(number)]
-        before = (SimpleNamespace(results=SimpleNamespace(snapshots={0: left[:1], 1: left[1:]})),)
+        success = {40: [1, 0, 0], 5: [0, 0, 0]}.get(number, [1, 0, 1])  # of the whole episodes: the snapshots' share
+        shown = {"snapshots": {0: left[:1], 1: left[1:]}, "outcomes": {"success": np.array(success, np.bool_)}}
+        before = (SimpleNamespace(results=SimpleNamespace(**shown)),)
     archive = None if way_steps is None else SimpleNamespace(way_steps=way_steps)
     state = replace(state, generation=generation, archive=archive, running=tuple(ends))
     draws = draw_pairs(state, settings, 1000, before)

@@ -248,8 +248,8 @@ def draw_pairs(
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
-    running episodes with goals that wander belong to all pairs. With a search, half of them go on: beginners among the
-    controllers set goals behind walls. Robots that often stand there unlearn to walk, so these episodes are short.
+    running episodes with goals that wander belong to all pairs. With a search, the snapshots have a share: the rate of
+    success, at most half. Beginners among the controllers set goals behind walls, where a primitive unlearns to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -261,7 +261,8 @@ def draw_pairs(
     if before:
         snapshots = [each for one in before for own in one.results.snapshots.values() for each in own]
         if snapshots and not settings.is_practice(state):
-            running = [] if archive is None else running[: groups // 2]
+            success = np.mean([one.results.outcomes["success"].mean() for one in before])
+            running = [] if archive is None else running[: groups - int(groups * min(0.5, success))]
         goes_on = (rng.random(len(running)) >= NEW_EPISODE).tolist()
         angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
