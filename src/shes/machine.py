@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 _OWN_GROUPS = Path("/proc/self/cgroup")
 _ROOT = Path("/sys/fs/cgroup")
@@ -94,16 +95,25 @@ def free_disk(path: Path) -> int:
 
 
 @contextmanager
-def end_delayed() -> Iterator[None]:
-    """Handle SIGTERM after the block: an environment that it leaves half made could never be closed."""
-    handler, late = signal.getsignal(signal.SIGTERM), list[int]()
-    is_ours = callable(handler) and threading.current_thread() is threading.main_thread()
-    if is_ours:
-        signal.signal(signal.SIGTERM, lambda number, _: late.append(number))
+def signals_delayed() -> Iterator[None]:
+    """Handle a signal after the block, which makes an environment: one half made cannot be closed. Not a second one."""
+    is_inside, late, owner = threading.current_thread() is threading.main_thread(), list[int](), os.getpid()
+    numbers = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM) if is_inside else ()
+    handlers: dict[int, Any] = {each: now for each in numbers if callable(now := signal.getsignal(each))}
+
+    def keep(number: int, frame: Any) -> None:
+        now = [*late, number]
+        late[:] = now if is_inside and not late and os.getpid() == owner else []  # a forked process inherits `keep`
+        for each in () if late else now:
+            handlers[each](each, frame)
+
     try:
+        for number in handlers:
+            signal.signal(number, keep)
         yield
     finally:
-        if is_ours:
-            signal.signal(signal.SIGTERM, handler)
-        for number in late[:1]:
+        is_inside = False
+        for number in (each for each in handlers if signal.getsignal(each) is keep):
+            signal.signal(number, handlers[number])
+        for number in late:
             signal.raise_signal(number)

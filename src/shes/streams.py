@@ -20,7 +20,6 @@ class Purpose(IntEnum):
     EVALUATION_EPISODES = 3
     STATISTICS_SAMPLE = 4
     FRESH_EPISODES = 5
-    # 6 belonged to novelty search, which is gone.
     SNAPSHOTS = 7
     BRANCHES = 8
     EXPLORATION = 9

@@ -34,11 +34,9 @@ BROKEN_RANK = """
 import pickle
 import shes.backends.mpi as mpi
 from tests.backends.workers import Worker
-
 class NotThere:
     def __reduce__(self):
         return __import__, ("own",)
-
 mpi.serve_rank = NotThere()
 with mpi.MpiBackend(Worker, 2) as backend:
     backend.broadcast(1)
@@ -46,18 +44,15 @@ with mpi.MpiBackend(Worker, 2) as backend:
 
 LATE_RANKS = """
 import time
-
 import shes.backends.mpi as mpi
 from mpi4py import MPI
 from shes.backends import supervision
 from tests.backends.workers import Worker
-
 class Slow(Worker):
     def __init__(self):
         super().__init__()
         if MPI.COMM_WORLD.Get_rank() == 2:
             time.sleep(2)
-
 supervision.REPORTED_S = 0.5
 with mpi.MpiBackend(Slow, 2) as backend:
     backend.on_event = lambda event: print(event, flush=True)

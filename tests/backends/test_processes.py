@@ -190,7 +190,6 @@ PARENT = """
 import sys
 from shes.backends.processes import ProcessesBackend
 from tests.backends.workers import Worker
-
 backend = ProcessesBackend(lambda: Worker(at_once=1), 2)
 print(*(worker.name for worker in backend.workers), flush=True)
 list(backend.map([("oversleep", sys.argv[1])] * 4))

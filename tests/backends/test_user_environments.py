@@ -10,6 +10,7 @@ import pytest
 
 import shes
 from shes.errors import ConfigError
+from shes.machine import signals_delayed
 from tests.e2e import runs
 
 MODULE = """
@@ -18,35 +19,28 @@ import time
 from pathlib import Path
 import gymnasium
 import numpy as np
-
 class Env(gymnasium.Env):
     action_space = observation_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
     diary = Path(__file__).with_name("diary")
-
     def note(self, what):
         with self.diary.open("a") as file:
             file.write(f"{what} {os.getpid()} {id(self)}\\n")
-
     def __init__(self, render_mode=None, fault=""):
         self.fault, self.memory = fault, np.ones(5 * 10**7 if fault == "heavy" else 1)
         self.note("made")
         time.sleep(0.1 if fault == "slow" else 0)
-
     def reset(self, *, seed=None, options=None):
         self.steps = 0
         return np.zeros(1, np.float32), {}
-
     def step(self, action):
         if self.fault == "key":
             {}["missing"]  # the line at fault
         self.steps += 1
         return np.zeros(1, np.float32), float(action[0]), self.steps >= 5, False, {}
-
     def close(self):
         self.note("closed")
         if self.fault == "close":
             raise OSError("the window is gone")
-
 for fault in ("", "key", "close", "heavy", "slow"):
     gymnasium.register(f"User{fault.title()}-v0", Env, max_episode_steps=5, kwargs={"fault": fault})
 """
@@ -107,3 +101,20 @@ def test_a_signal_to_the_run_closes_environments(diary, tmp_path, monkeypatch, n
     assert runs.finish(process)[0] == 130
     made, closed = diary()
     assert len(closed) == len(made)
+
+
+def test_a_signal_waits_for_the_end_of_the_block_but_not_in_a_forked_process():
+    told = []
+    before = signal.signal(signal.SIGTERM, lambda *_: told.append(1))
+    with signals_delayed():
+        if not (child := os.fork()):
+            signal.raise_signal(signal.SIGTERM)
+            os._exit(len(told))
+        signal.raise_signal(signal.SIGTERM)
+        assert (os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), len(told)) == (1, 0)
+    with signals_delayed():
+        signal.raise_signal(signal.SIGTERM)
+        assert len(told) == 1  # of the first block
+        signal.raise_signal(signal.SIGTERM)
+        assert len(told) == 3  # a second one does not wait
+    signal.signal(signal.SIGTERM, before)

@@ -20,7 +20,7 @@ from tests.rollout.plain_agent import PlainAgent, columns
 MEMBERS, EPISODES, STEPS = 4, 2, 2 * INTERVAL + 2
 WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
 EGOCENTRIC = {**WALKER, "controller_interval": INTERVAL, "hidden": (6, 5)}
-WITH_CONTROLLER = {**EGOCENTRIC, "controller_output": "vector", "controller_view": "egocentric"}
+WITH_CONTROLLER = {**EGOCENTRIC, "controller_output": "heading_direction", "controller_view": "egocentric"}
 ANTS = {
     "ant-gather": WITH_CONTROLLER,
     "ant-maze": {**WITH_CONTROLLER, "symmetry": "rotation", "goal_encoding": "vector"},
@@ -217,4 +217,4 @@ def test_members_that_share_noise_act_as_without(name):
         seen = of.rows(step, range(MEMBERS))
         assert shared.act(AgentInputs(**seen)) == pytest.approx(own.act(AgentInputs(**seen)), abs=1e-3)
         if own.goal is not None:
-            assert shared.goal == pytest.approx(own.goal, abs=1e-5)
+            assert shared.goal == pytest.approx(own.goal, abs=1e-4)

@@ -81,7 +81,6 @@ def test_workers_killed_inside_generations_change_no_number(started, undisturbed
     code, out, err = runs.finish(process)
     assert (code, err) == (0, ""), out
     runs.assert_gone(process.pid, workers)
-    # A worker that still starts, or has just finished its share, has no task to lose.
     lost = re.compile(r"worker (\d+) died \(killed by SIGKILL\); (\d+) tasks are done again")
     found = [match.groups() for match in map(lost.fullmatch, runs.log_lines(path)) if match]
     assert [int(worker) for worker, _ in found] in (killed, killed[:-1])

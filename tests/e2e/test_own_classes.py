@@ -19,7 +19,6 @@ CLASSES = Path(own_classes.__file__).read_text(encoding="utf-8")
 WORK = """
 import json
 import shes
-
 register()
 settings = json.loads(SETTINGS)
 run = shes.train("puck-corner", primitive_reward="nearness", goal_encoding="own-vector", **settings)

@@ -66,7 +66,6 @@ WRAPPED = """
 import gymnasium, shes
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector
-
 gymnasium.register_envs(shes)
 env = gymnasium.make('shes:shes/AntGather-v0', render_mode='rgb_array', max_episode_steps=3)
 assert gymnasium.make(env.spec).spec == env.spec

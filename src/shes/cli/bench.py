@@ -96,12 +96,10 @@ def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
 
 
 class RecordedEpisode(NamedTuple):
-    """The physics of an episode or a branch."""
+    """MuJoCo's integration state at the start of an episode or a branch, the time first, and all its controls [A]."""
 
     start: F64Array
-    """MuJoCo's integration state at its start, the time first."""
     controls: list[F64Array]
-    """Controls of every control step [A]."""
 
 
 class BarePhysics:
@@ -121,8 +119,7 @@ class BarePhysics:
 
     def steps_per_s(self, seconds: float) -> float:
         """Return the control steps per second of replaying all episodes repeatedly for at least `seconds`."""
-        steps = 0
-        start = perf_counter()
+        steps, start = 0, perf_counter()
         while (elapsed := perf_counter() - start) < seconds or not steps:
             for episode in self.episodes:
                 self.replay(episode)
@@ -149,9 +146,8 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
             roll_out(replace(branches, tasks=branches.tasks[:share]), worker)
     robot = algorithm.problem.sample().robot
     assert robot is not None, "an external environment is refused"
-    return BarePhysics(
-        recorders[0].model, [episode for each in recorders for episode in each.episodes], robot.frame_skip
-    )
+    recorded = [episode for each in recorders for episode in each.episodes]
+    return BarePhysics(recorders[0].model, recorded, robot.frame_skip)
 
 
 class _RecordingSimulator(CpuSimulator):

@@ -24,7 +24,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external_reader import LARGEST, ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
-from shes.machine import end_delayed, resident_memory
+from shes.machine import resident_memory, signals_delayed
 from shes.registry import full_name
 from shes.settings import Example
 from shes.sim.simulator import DIVERGENCE, CpuSimulator, log_physics_warnings
@@ -147,7 +147,7 @@ class ExternalTask(EpisodeBatch):
     def _env(self, i: int) -> gymnasium.Env[Any, Any]:
         """Return environment `i`, which is made at the first call."""
         if (env := self._envs[i]) is None:
-            with end_delayed():
+            with signals_delayed():
                 env = self._envs[i] = self.environment.make_one(self._render_mode)
         return env
 

@@ -32,7 +32,7 @@ from shes.settings import Choices, Ge, Gt, Le, Needs, Settings, Shown
 from shes.streams import Purpose, stream
 from shes.types import IntArray
 
-NEW_EPISODE = 0.3
+_NEW_EPISODE = 0.3
 """Probability that an episode with goals that wander ends before a branch: else robots would gather at walls."""
 _ENOUGH_ROWS = 3
 """Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all."""
@@ -248,8 +248,8 @@ def draw_pairs(
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
-    running episodes with goals that wander belong to all pairs. With a search, the snapshots have a share: the rate of
-    success, at most half. Beginners among the controllers set goals behind walls, where a primitive unlearns to walk.
+    running episodes with goals that wander belong to all pairs. With a search, a share of pairs starts from snapshots:
+    the success rate, at most half. Untrained controllers lead into walls, where a primitive forgets how to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -263,7 +263,7 @@ def draw_pairs(
         if snapshots and not settings.is_practice(state):
             success = np.mean([one.results.outcomes["success"].mean() for one in before])
             running = [] if archive is None else running[: groups - int(groups * min(0.5, success))]
-        goes_on = (rng.random(len(running)) >= NEW_EPISODE).tolist()
+        goes_on = (rng.random(len(running)) >= _NEW_EPISODE).tolist()
         angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
         ends = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(running)]

@@ -69,8 +69,7 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         archive = archive.after_slice(search.longest)
         if archive.way_steps:
             break
-    num_steps = archive.env_steps - state.archive.env_steps
-    return replace(state, archive=archive, env_steps=state.env_steps + num_steps)
+    return replace(state, archive=archive, env_steps=state.env_steps + archive.env_steps - state.archive.env_steps)
 
 
 def _walk(

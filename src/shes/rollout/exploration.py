@@ -70,10 +70,8 @@ class Exploration:
         if not self._is_on:
             return {}
         design, steps = self._agent.design, np.minimum(self._agent.clock, self._horizon - 1)
-        # All lanes are usually at the same step. The noise is a view then.
-        is_same = (steps == steps[0]).all()
-        lanes = np.arange(len(steps))
-        noise: dict[str, F32Array] = {}
+        is_same = (steps == steps[0]).all()  # as usual: the noise is a view then
+        noise, lanes = dict[str, F32Array](), np.arange(len(steps))
         if design.decision_size:
             places = steps // design.controller_interval
             noise["decision_noise"] = self._decision_noise[places[0] if is_same else (places, lanes)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from shes.envs.named_environments import EnvironmentMaker
 from shes.envs.tasks.task import SimulatorFactory, TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
-from shes.machine import end_delayed
+from shes.machine import signals_delayed
 from shes.rollout.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.rollout.lockstep import NumberedTask, Rollout
 from shes.sim.simulator import CpuSimulator
@@ -184,7 +184,7 @@ class RolloutWorker:
                 WarpDevice(plan.device).release_memory()
             options, horizon, design = plan.of(generation)
             make = partial(plan.env.make, options=options, simulator=plan.simulator)
-            with end_delayed():
+            with signals_delayed() if plan.env.has_own_physics else nullcontext():
                 self._rollouts[kind] = Rollout(design, make, *shape[:2], horizon, generation.members_per_lane)
         return self._rollouts[kind]
 

@@ -161,18 +161,16 @@ def check_scipy() -> ModuleType:
     try:
         from scipy import stats
     except ImportError as error:
-        raise MissingExtraError(
-            f"comparing runs needs SciPy ({error}). Install it: pip install 'shes[compare]'."
-        ) from error
+        told = f"comparing runs needs SciPy ({error}). Install it: pip install 'shes[compare]'."
+        raise MissingExtraError(told) from error
     return stats
 
 
 def permutation_test(first: F64Array, second: F64Array) -> float:
     """Return the two-sided p of the difference of means between two samples.
 
-    p is the share of divisions of all values into two such samples whose difference is at least as large. If there
-    are more than 10,000 divisions, it is estimated from as many random ones and the given one, so that it is
-    never 0. Source: Phipson and Smyth (2010).
+    p is the share of divisions of all values into two such samples whose difference is at least as large. Of more than
+    10,000 divisions, as many random ones count and the given one (Phipson and Smyth 2010).
     """
     scale = max(1.0, float(np.abs(np.concatenate([first, second])).max()))
 
