@@ -90,15 +90,20 @@ def _interval_estimate(settings: Any) -> IntervalEstimate:
     )
 
 
+def _search_interval(settings: Any) -> int:
+    """Return the control steps of a goal in the search: those of a branch, as in practice."""
+    return settings.hierarchy.controller_interval * (settings.estimate.intervals if is_branched(settings) else 1)
+
+
 def _way_search(problem: Problem) -> WaySearch:
     settings, task = problem.settings, problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [0])
-    state, interval = task.states(np.array([0])), settings.hierarchy.controller_interval
+    state = task.states(np.array([0]))
     places = task.places(state)
     return WaySearch(
         decode=task.places,
         start=Archive.start(places.cells, places.positions.copy(), state.shape[1]),
-        interval=interval,
+        interval=_search_interval(settings),
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
@@ -197,9 +202,9 @@ def _check_exploration(settings: Any) -> None:
             f"{asked} {settings.run.env} has no target with a way to search for: only Maze, Push and Fall of this "
             "package have. Set --explore none."
         )
-    longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
+    longest, interval = settings.exploration.explore_horizon, _search_interval(settings)
     if longest is not None and longest < interval:
-        raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
+        raise out_of_range("explore_horizon", longest, f"at least {interval}, the steps of a goal in the search")
     if environment.task.training_square and settings.environment.target is None:
         fault, fix = "the training target is random", "--target, e.g. --target 0 16"
     elif settings.hierarchy.primitive_view == "observation":
@@ -214,7 +219,8 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
     """Raise ConfigError if a setting in `asked` has no effect on the levels that learn."""
     evaluated, useless, why, fix = by_episodes(settings), list[str](), "", ""
     if is_branched(settings) and not learns(settings)[-1]:
-        useless = [name for name in setting_fields(type(settings.estimate)) if name != "primitive_estimate"]
+        used = {"primitive_estimate"} | ({"intervals"} if explores(settings) else set())
+        useless = [name for name in setting_fields(type(settings.estimate)) if name not in used]
         why, fix = "on a frozen primitive", "--no-freeze-primitive"
     elif is_branched(settings) and is_alone(settings):
         useless = ["common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction"]
