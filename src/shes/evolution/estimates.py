@@ -248,9 +248,9 @@ def draw_pairs(
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
-    all pairs continue running episodes. Each has one direction of goals, at random: with a new one for each interval a
-    primitive learns to turn, and walks slowly. With a search, a share of pairs starts from snapshots: the success rate,
-    at most half. Untrained controllers lead into walls, where a primitive forgets how to walk.
+    all pairs continue running episodes, each in one random direction: with a new one for each interval walkers stay
+    slow. With a search, a share starts from snapshots: the success rate, at most half. Untrained controllers lead into
+    walls, where a primitive forgets how to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"

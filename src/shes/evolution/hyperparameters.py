@@ -90,20 +90,19 @@ def _interval_estimate(settings: Any) -> IntervalEstimate:
     )
 
 
-def _search_interval(settings: Any) -> int:
-    """Return the control steps of a goal in the search: those of a branch, as in practice."""
+def _branch_steps(settings: Any) -> int:
+    """Return the control steps of a branch, and of a goal in the search."""
     return settings.hierarchy.controller_interval * (settings.estimate.intervals if is_branched(settings) else 1)
 
 
 def _way_search(problem: Problem) -> WaySearch:
     settings, task = problem.settings, problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [0])
-    state = task.states(np.array([0]))
-    places = task.places(state)
+    places = task.places(state := task.states(np.array([0])))
     return WaySearch(
         decode=task.places,
         start=Archive.start(places.cells, places.positions.copy(), state.shape[1]),
-        interval=_search_interval(settings),
+        interval=_branch_steps(settings),
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
@@ -202,7 +201,7 @@ def _check_exploration(settings: Any) -> None:
             f"{asked} {settings.run.env} has no target with a way to search for: only Maze, Push and Fall of this "
             "package have. Set --explore none."
         )
-    longest, interval = settings.exploration.explore_horizon, _search_interval(settings)
+    longest, interval = settings.exploration.explore_horizon, _branch_steps(settings)
     if longest is not None and longest < interval:
         raise out_of_range("explore_horizon", longest, f"at least {interval}, the steps of a goal in the search")
     if environment.task.training_square and settings.environment.target is None:
@@ -243,7 +242,7 @@ def warnings(settings: Any) -> list[str]:
     found = list[str]()
     evolution, last = settings.evolution, settings.run.generations
     if is_branched(settings) and learns(settings)[-1]:
-        steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
+        steps, horizon = _branch_steps(settings), settings.episodes.horizon
         if steps > horizon:
             found.append(f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals")
     if 0 < practice(settings) >= last:

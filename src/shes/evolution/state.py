@@ -75,10 +75,6 @@ class Archive:
         """Whether the search is over, and the states are gone."""
         return not len(self.states)
 
-    def over(self, *, keeps_starts: bool = True) -> Archive:
-        """Return the archive of a search that is over."""
-        return replace(self, states=self.states[:0], starts=self.starts if keeps_starts else self.starts[:0])
-
     def choose(self, rng: np.random.Generator, number: int, last_step: int) -> IntArray:
         """Return the cells [number] of walkers, among those reached by step `last_step`, with repetition.
 
@@ -130,7 +126,7 @@ class Archive:
         stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
         used = {"nodes": number[self.nodes], "parents": parents, "positions": self.positions[is_used]}
         after = replace(self, **used, stalled=stalled)
-        return after.over() if stalled >= PATIENCE and self.way_steps <= longest else after
+        return replace(after, states=self.states[:0]) if stalled >= PATIENCE and self.way_steps <= longest else after
 
     def news(self, before: Archive) -> list[str]:
         """Return in words what has happened since `before`."""

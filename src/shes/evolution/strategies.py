@@ -96,7 +96,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             replace(level, optimizer=rule.optimizer.start(len(level.theta)))
             for level, rule in zip(state.levels, self.hyperparameters.updates, strict=True)
         )
-        archive = None if state.archive is None else state.archive.over(keeps_starts=False)
+        archive = state.archive
+        archive = archive and replace(archive, states=archive.states[:0], starts=archive.starts[:0])
         return replace(state, levels=levels, running=None, archive=archive)
 
     @property

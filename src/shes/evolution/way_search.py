@@ -49,11 +49,6 @@ class WaySearch:
     has_starts: bool = False
     """Whether half of the groups of whole episodes begin on the way."""
 
-    @property
-    def decisions(self) -> int:
-        """Number of decisions of a walker."""
-        return max(1, min(_DECISIONS, self.horizon // self.interval))
-
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
     """Return `state` after more of the search, which its environment steps include. It ends by `PATIENCE`."""
@@ -76,12 +71,13 @@ def _walk(
     archive: Archive, search: WaySearch, generation: Generation, rng: np.random.Generator, backend: Backend
 ) -> Archive:
     """Return the archive after a few decisions of walkers that begin in its cells."""
-    cells = archive.choose(rng, WALKERS, search.horizon - search.decisions * search.interval)
+    decisions = max(1, min(_DECISIONS, search.horizon // search.interval))
+    cells = archive.choose(rng, WALKERS, search.horizon - decisions * search.interval)
     archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
     steps = archive.steps[cells].tolist()
     starts = [Snapshot(state=archive.states[i] if n else None, steps=n) for i, n in zip(cells, steps, strict=True)]
     walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
-    for angle in wander(rng, search.decisions, WALKERS):
+    for angle in wander(rng, decisions, WALKERS):
         goals = search.goal_distance * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         seeds = rng.integers(0, 2**63, WALKERS).tolist()
         tasks = [

@@ -192,8 +192,8 @@ class TargetTask(Task):
         self._next += passed & (self._next < self.num_waypoints)
         before, left = self._left, self._distance_to(self._way[self._next]) + self._way_beyond[self._next]
         self._left = np.maximum(left, 0.0)
-        worth = np.exp(self.time * (-self.step_s / DISCOUNT_S))
-        return np.where(np.isnan(before), 0.0, worth * (before - self._left))
+        progress = np.where(np.isnan(before), 0.0, before - self._left)
+        return progress * np.exp(self.time * (-self.step_s / DISCOUNT_S))
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
