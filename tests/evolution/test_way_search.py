@@ -180,7 +180,7 @@ def test_half_of_the_groups_begin_on_the_way():
 
 def test_workers_and_a_resume_in_a_search_change_no_number(tmp_path):
     """The way leads the reward of training alone, and the steps of the search are steps of the run."""
-    settings = {**SEARCH, "primitive_estimate": "interval", "intervals": 1, "practice": 1, "target": (-6.0, 0.0)}
+    settings = {**SEARCH, "primitive_estimate": "interval", "practice": 1, "target": (5.6, 0.0)}
     one = runs.train_tiny(tmp_path / "one", "point-push", **settings, generations=3)
     two = runs.train_tiny(tmp_path / "two", "point-push", **settings, generations=1, num_workers=2, backend="processes")
     shes.resume(two, generations=3, backend="serial")

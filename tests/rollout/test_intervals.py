@@ -11,7 +11,7 @@ from shes.backends.backend import SerialBackend
 from shes.es.level import draw_noise_index
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.estimates import EvolutionSettings, IntervalEstimate, draw_episodes, draw_pairs
-from shes.rollout.episodes import Snapshot
+from shes.rollout.episodes import Snapshot, wander
 from shes.rollout.worker import RolloutWorker
 from shes.runs.build import build_algorithm
 from shes.runs.make_config import make_config
@@ -58,7 +58,7 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
     starts = ends[:going]
     if before:
         goes_on = rng.random(going) >= 0.3
-        goals = [[(4 * np.cos(a), 4 * np.sin(a))] * 2 for a in rng.uniform(-np.pi, np.pi, going)]  # one for a branch
+        goals = [[(4 * np.cos(angle), 4 * np.sin(angle)) for angle in own] for own in wander(rng, 2, going).T]
         resets = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(starts)]
         starts = [replace(end, goals=np.array(own)) for end, own in zip(resets, goals, strict=True)]
         order = rng.permutation(number)
@@ -186,7 +186,7 @@ def test_a_snapshot_is_the_state_at_its_decision_with_its_goals(beside, whole):
 
 
 def test_a_branch_is_what_a_plain_loop_makes_of_its_start(beside, whole):
-    """From snapshots; or, where no episode left any, from a reset on goals in one direction."""
+    """From snapshots; or, where no episode left any, from a reset on goals that wander."""
     nothing = replace(whole, results=replace(whole.results, snapshots={}))
     for before in (whole, nothing):
         pairs = roll_out(beside.draw((before,)), beside.backend)

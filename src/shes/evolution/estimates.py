@@ -26,14 +26,14 @@ from shes.es.perturbation import MIRRORINGS, Signs, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.evolution.state import TrainState
 from shes.evolution.way_search import WaySearch
-from shes.rollout.episodes import EpisodeTask, Generation, Snapshot
+from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import PopulationResults
 from shes.settings import Choices, Ge, Gt, Le, Needs, Settings, Shown
 from shes.streams import Purpose, stream
 from shes.types import IntArray
 
 _NEW_EPISODE = 0.3
-"""Probability that an episode with random goals ends before a branch: else robots would gather at walls."""
+"""Probability that an episode with goals that wander ends before a branch: else robots would gather at walls."""
 _ENOUGH_ROWS = 3
 """Episodes per member from which each member has a matmul of its own. A shared one always has the rows of all."""
 
@@ -114,7 +114,7 @@ class Hyperparameters:
     search: WaySearch | None = None
     """Search for a way to the target; None for no search."""
     practice: int = 0
-    """Number of generations at the start in which the primitive alone learns, on random goals."""
+    """Number of generations at the start in which the primitive alone learns, on goals that wander."""
     horizon: int = 500
     """Maximum number of control steps in an episode."""
 
@@ -248,9 +248,8 @@ def draw_pairs(
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
-    all pairs continue running episodes, each in one random direction: with a new one for each interval walkers stay
-    slow. With a search, a share starts from snapshots: the success rate, at most half. Untrained controllers lead into
-    walls, where a primitive forgets how to walk.
+    running episodes with goals that wander belong to all pairs. With a search, a share of pairs starts from snapshots:
+    the success rate, at most half. Untrained controllers lead into walls, where a primitive forgets how to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -265,7 +264,7 @@ def draw_pairs(
             success = np.mean([one.results.outcomes["success"].mean() for one in before])
             running = [] if archive is None else running[: groups - int(groups * min(0.5, success))]
         goes_on = (rng.random(len(running)) >= _NEW_EPISODE).tolist()
-        angles = np.tile(rng.uniform(-np.pi, np.pi, (len(running), 1)), estimate.intervals)
+        angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
         ends = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(running)]
         running = [replace(end, goals=own) for end, own in zip(ends, goals, strict=True)]

@@ -105,7 +105,7 @@ class EstimateSettings(PrimitiveEstimateSettings):
     """Evaluation of the primitive under a controller."""
 
     practice: Annotated[int, Ge(0), _BY_INTERVAL] = 0
-    """First generations, in which the primitive alone learns, on random goals. Search and schedules follow."""
+    """First generations, in which the primitive alone learns, on goals that wander. Search and schedules follow."""
     primitive_population_size: Annotated[int, Ge(2), _BY_INTERVAL] | None = None
     """Policies in the branches of a generation; none for population_size."""
     primitive_sigma: Annotated[float, Gt(0), _BY_INTERVAL] | None = None

@@ -90,19 +90,15 @@ def _interval_estimate(settings: Any) -> IntervalEstimate:
     )
 
 
-def _branch_steps(settings: Any) -> int:
-    """Return the control steps of a branch, and of a goal in the search."""
-    return settings.hierarchy.controller_interval * (settings.estimate.intervals if is_branched(settings) else 1)
-
-
 def _way_search(problem: Problem) -> WaySearch:
     settings, task = problem.settings, problem.make_task(is_evaluation=True)
     task.reset(np.array([0]), [0])
-    places = task.places(state := task.states(np.array([0])))
+    state, interval = task.states(np.array([0])), settings.hierarchy.controller_interval
+    places = task.places(state)
     return WaySearch(
         decode=task.places,
         start=Archive.start(places.cells, places.positions.copy(), state.shape[1]),
-        interval=_branch_steps(settings),
+        interval=interval,
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
@@ -201,9 +197,9 @@ def _check_exploration(settings: Any) -> None:
             f"{asked} {settings.run.env} has no target with a way to search for: only Maze, Push and Fall of this "
             "package have. Set --explore none."
         )
-    longest, interval = settings.exploration.explore_horizon, _branch_steps(settings)
+    longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
     if longest is not None and longest < interval:
-        raise out_of_range("explore_horizon", longest, f"at least {interval}, the steps of a goal in the search")
+        raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
     if environment.task.training_square and settings.environment.target is None:
         fault, fix = "the training target is random", "--target, e.g. --target 0 16"
     elif settings.hierarchy.primitive_view == "observation":
@@ -218,8 +214,7 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
     """Raise ConfigError if a setting in `asked` has no effect on the levels that learn."""
     evaluated, useless, why, fix = by_episodes(settings), list[str](), "", ""
     if is_branched(settings) and not learns(settings)[-1]:
-        used = {"primitive_estimate"} | ({"intervals"} if explores(settings) else set())
-        useless = [name for name in setting_fields(type(settings.estimate)) if name not in used]
+        useless = [name for name in setting_fields(type(settings.estimate)) if name != "primitive_estimate"]
         why, fix = "on a frozen primitive", "--no-freeze-primitive"
     elif is_branched(settings) and is_alone(settings):
         useless = ["common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction"]
@@ -242,7 +237,7 @@ def warnings(settings: Any) -> list[str]:
     found = list[str]()
     evolution, last = settings.evolution, settings.run.generations
     if is_branched(settings) and learns(settings)[-1]:
-        steps, horizon = _branch_steps(settings), settings.episodes.horizon
+        steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
         if steps > horizon:
             found.append(f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals")
     if 0 < practice(settings) >= last:

@@ -37,7 +37,7 @@ class WaySearch:
     """Returns cells [N, K], positions [N, X], and whether robots are upright and have succeeded [N], by state."""
     start: Archive
     interval: int
-    """Control steps of a goal."""
+    """Control steps of a decision."""
     horizon: int
     """Most control steps from the reset to a place."""
     goal_distance: float

@@ -25,8 +25,6 @@ PASSED_DISTANCE_M = 3.0
 """A waypoint is passed nearer than this,"""
 BYPASSED_DISTANCE_M = CELL_SIZE_M
 """or nearer than this if the next one is nearer still: the path may keep to the other side of a corridor."""
-DISCOUNT_S = 50.0
-"""Progress made this much later is worth 1/e: a slow way along walls pays less than a fast one."""
 CELL_M, BLOCK_CELL_M = 1.0, 2.0
 """Steps of a place in the robot's x and y, and in its height and the block's coordinates."""
 _MIN_COS_TILT = 0.5  # of a robot that stands: a tilt of 60 degrees
@@ -183,7 +181,7 @@ class TargetTask(Task):
             self._next[rows] = self._distance_to(self._way[:, None]).argmin(axis=0)[rows]
 
     def update_features(self) -> F64Array:
-        """Return the reward [N]: minus the distance to the target, or the discounted progress on the way to success."""
+        """Return the reward [N]: minus the distance to the target, or the progress along the way up to success."""
         if not self.num_waypoints:
             return -self.distance
         distance = self._distance_to(self._way[self._next])
@@ -192,8 +190,7 @@ class TargetTask(Task):
         self._next += passed & (self._next < self.num_waypoints)
         before, left = self._left, self._distance_to(self._way[self._next]) + self._way_beyond[self._next]
         self._left = np.maximum(left, 0.0)
-        progress = np.where(np.isnan(before), 0.0, before - self._left)
-        return progress * np.exp(self.time * (-self.step_s / DISCOUNT_S))
+        return np.where(np.isnan(before), 0.0, before - self._left)
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
