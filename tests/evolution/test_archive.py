@@ -103,5 +103,4 @@ def test_news_of_a_search_are_told_once():
     assert begun.news(before) == ["the search for a way begins"]
     assert known.news(begun) == ["a way of 20 steps is known after 0 environment steps of search"]
     over = replace(known, states=known.states[:0])
-    assert over.news(known) == ["the search is over: the way has 20 steps"]
-    assert len(over.news(before)) == 3
+    assert over.news(before)[2:] == over.news(known) == ["the search is over: the way has 20 steps"]
