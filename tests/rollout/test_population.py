@@ -16,8 +16,6 @@ from tests.es.textbook import centred_ranks, group_signs
 from tests.rollout.formula import evolving, formula_state
 from tests.rollout.made_up import make_task
 
-# What is drawn --------------------------------------------------------------------------------------------------------
-
 
 def drawn(population=8, episodes=2, perturbation="many_to_many", generation=2, seed=3, **options):
     """Return the members of a generation and, per member, its task's quantities."""
@@ -71,9 +69,6 @@ def test_a_share_of_the_groups_is_recorded_as_a_whole(fraction):
     assert flags[160:240:4] == numbers_of((4, 2), lambda rng: rng.random(20) < fraction)
 
 
-# What results are worth -----------------------------------------------------------------------------------------------
-
-
 def test_a_divergence_counts_as_the_worst_of_the_others_at_most():
     for returns, has_diverged, fitness in (
         ([[-3, -5], [-1, -4], [-6, -3]], [[0, 0], [1, 0], [0, 0]], [-4, -5, -4.5]),
@@ -97,9 +92,6 @@ def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(price):
         expected = np.array(centred_ranks(fitness[own].tolist(), "average"))
         expected -= price * (fallen[own] - fallen[own].mean())
         assert rule.shape(fitness, signs[:, :, level], fallen) == pytest.approx(expected)
-
-
-# How tasks are divided between workers --------------------------------------------------------------------------------
 
 
 @given(sizes=st.lists(st.integers(1, 6), max_size=20), num_workers=st.integers(1, 60))

@@ -128,9 +128,6 @@ def test_tasks_are_taken_when_a_lane_is_free():
     assert results_of(rollout_of(3), []) == {}
 
 
-# Policies that are not finite -----------------------------------------------------------------------------------------
-
-
 def test_a_policy_of_nan_is_refused_by_member_and_level():
     message = "member 3 returned NaN or infinity at step 0 (parameters of its controller are not finite) ... --sigma"
     table = table_of(8000)

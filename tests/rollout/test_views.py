@@ -73,9 +73,6 @@ def test_points_see_velocities_and_an_upright_ant_its_heading():
     assert np.cos(Ant().frame_angle(-qpos) - angles) == pytest.approx(1)  # the other quaternion of the same pose
 
 
-# Views of observations ----------------------------------------------------------------------------------------------
-
-
 def moving(config, rows):
     """Return a task whose robots are somewhere, and what it observes."""
     task = build_environment(config).make(rows, build_options(config, is_evaluation=False))
