@@ -9,7 +9,6 @@ import pytest
 
 from shes.backends.backend import SerialBackend
 from shes.es.level import draw_noise_index
-from shes.evolution import algorithm
 from shes.evolution.algorithm import evolve, roll_out
 from shes.evolution.estimates import EvolutionSettings, IntervalEstimate, draw_episodes, draw_pairs
 from shes.rollout.episodes import Snapshot, wander
@@ -45,10 +44,10 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
         state, settings = replace(state, levels=state.levels[1:]), ALONE
     else:
         left = [Snapshot(state=np.full(4, float(n)), steps=STEPS * n, goals=np.ones((2, 2))) for n in range(number)]
-        metres = {40: [5.0, 0.0, 0.0], 5: [-1.0, 0.0, -1.0]}.get(number, [5.0, 5.0, 0.0])  # of the way's 5
-        shown = {"snapshots": {0: left[:1], 1: left[1:]}, "fitness": np.array([metres, metres])}
-        before = (SimpleNamespace(results=SimpleNamespace(**shown, success=np.array([True, False, False]))),)
-    archive = None if way_steps is None else SimpleNamespace(way_steps=way_steps, way=np.array([[0, 0], [3, 4.0]]))
+        success = {40: [1, 0, 0], 5: [0, 0, 0]}.get(number, [1, 0, 1])  # of the whole episodes: the snapshots' share
+        shown = {"snapshots": {0: left[:1], 1: left[1:]}, "outcomes": {"success": np.array(success, np.bool_)}}
+        before = (SimpleNamespace(results=SimpleNamespace(**shown)),)
+    archive = None if way_steps is None else SimpleNamespace(way_steps=way_steps)
     state = replace(state, generation=generation, archive=archive, running=tuple(ends))
     draws = draw_pairs(state, settings, 1000, before)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(8, generation))))
@@ -73,8 +72,6 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
         assert (task.records_statistics, task.snapshot_steps) == (True, ())
     generation, rate = draws.generation, {0: 0.1, 2: 0.2, 3: 0.2}[practice]  # schedules follow practice
     assert (generation.sigma, draws.learning_rate) == pytest.approx((rate, rate))
-    is_led = bool(number) and bool(way_steps) and practice < 3  # then falls cost more as the episodes succeed
-    assert draws.fall_factor == pytest.approx(5 / 3 if is_led else 1)
     assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows_per_lane) == (2, 1, 2)
     assert (generation.branch_steps, generation.kind) == (2 * STEPS, "branch")
     assert [level.theta.tobytes() for level in generation.levels] == [state.levels[-1].theta.tobytes()]
@@ -209,19 +206,6 @@ def test_pairs_alone_teach_the_primitive(beside):
     moved = [np.abs(after.theta - before.theta).max() for before, after in levels]
     assert moved == pytest.approx([0.01, 0.07], rel=1e-4)
     assert [each.generation.sigma for each in report.populations] == [0.3, 0.2]
-
-
-def test_a_population_may_make_falls_dearer(alone, monkeypatch):
-    """A price of 1 with the factor 3 is a price of 3."""
-    found = []
-    for price, factor in ((1.0, 1.0), (1.0, 3.0), (3.0, 1.0)):
-        changed = partial(replace, fall_factor=factor)
-        monkeypatch.setattr(algorithm, "roll_out", lambda draws, backend, by=changed: roll_out(by(draws), backend))
-        settings = replace(alone.settings, updates=(replace(alone.settings.updates[0], fall_price=price),))
-        report = next(evolve(alone.state, settings, alone.table, alone.backend))
-        found.append(report.updates[0].gradient_norm)
-    assert found[2] == pytest.approx(found[1])
-    assert found[1] > 1.1 * found[0]
 
 
 def test_running_episodes_go_on_where_the_kept_side_ended(alone):

@@ -151,8 +151,6 @@ class Draws:
     """Data that all tasks share."""
     learning_rate: float
     """Learning rate of the levels that learn from this population."""
-    fall_factor: float = 1.0
-    """Factor of the price of a fall."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,8 +249,7 @@ def draw_pairs(
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
     running episodes with goals that wander belong to all pairs. With a search, a share of pairs starts from snapshots:
-    the part of the way that controllers cover, at most half. Untrained ones lead into walls, where a primitive forgets
-    how to walk. As controllers succeed, the price of a fall rises to three times its value: speed comes first.
+    the success rate, at most half. Untrained controllers lead into walls, where a primitive forgets how to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"
@@ -260,15 +257,12 @@ def draw_pairs(
     noise_index = draw_noise_index(state.seed, generation, groups, (len(primitive.theta),), table_size, level)
     rng = stream(state.seed, Purpose.BRANCHES, generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
-    running, drawn, archive, fall_factor = [*(state.running or [None] * groups)], list[Snapshot](), state.archive, 1.0
+    running, drawn, archive = [*(state.running or [None] * groups)], list[Snapshot](), state.archive
     if before:
         snapshots = [each for one in before for own in one.results.snapshots.values() for each in own]
         if snapshots and not settings.is_practice(state):
-            share, results = 1.0, before[0].results
-            if archive is not None:
-                covered = results.fitness[0].mean() / np.linalg.norm(np.diff(archive.way, axis=0), axis=1).sum()
-                share, fall_factor = min(0.5, max(0.0, covered)), 1 + 2 * float(results.success.mean())
-            running = running[: groups - int(groups * share)]
+            success = np.mean([one.results.outcomes["success"].mean() for one in before])
+            running = [] if archive is None else running[: groups - int(groups * min(0.5, success))]
         goes_on = (rng.random(len(running)) >= _NEW_EPISODE).tolist()
         angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
@@ -302,7 +296,6 @@ def draw_pairs(
             branch_steps=estimate.intervals * estimate.controller_interval,
         ),
         learning_rate=estimate.evolution.value("learning_rate", generation - settings.practice),
-        fall_factor=fall_factor,
     )
 
 
