@@ -6,9 +6,11 @@ A message says what is wrong, the value received, what is allowed (the nearest n
 from __future__ import annotations
 
 import difflib
+import importlib
 import sysconfig
 import traceback
 from collections.abc import Iterable
+from types import ModuleType
 
 
 class ShesError(Exception):
@@ -72,6 +74,14 @@ class WorkerError(ShesError, RuntimeError):
     """A worker raised an exception, or workers keep dying."""
 
     exit_code = 1
+
+
+def import_extra(module: str, need: str, fix: str) -> ModuleType:
+    """Import `module`; raise MissingExtraError, with what needs it and the fix, if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(f"{need} ({error}). {fix}") from error
 
 
 def place_of(error: BaseException, *, outside: Iterable[str]) -> str:

@@ -23,7 +23,7 @@ from typing import Any
 from shes.backends.backend import WorkerFactory
 from shes.backends.serving import Answer, ClosedError, ParentConnection, import_path, pickle_factory, serve
 from shes.backends.supervision import CLOSE_S, REPORTED_S, RemoteWorker, SupervisingBackend
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError, import_extra
 from shes.machine import num_cores
 
 _ANSWER_S = 10.0  # wait for the head node of a cluster
@@ -43,13 +43,7 @@ class RayBackend(SupervisingBackend):
         super().__init__(1)
         self._most = num_workers
         self._factory = pickle_factory(factory)
-        try:
-            import ray
-        except ImportError as error:
-            raise MissingExtraError(
-                f"--backend ray needs Ray ({error}). Install it: pip install 'shes[ray]'."
-            ) from error
-        self._ray: ModuleType = ray
+        self._ray = import_extra("ray", "--backend ray needs Ray", "Install it: pip install 'shes[ray]'.")
         self._has_joined = False
         self._stored: tuple[bytes, Any] | None = None  # the last state, and its reference in Ray's object store
         self.ready: SimpleQueue[RemoteWorker] = SimpleQueue()

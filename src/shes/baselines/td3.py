@@ -27,7 +27,7 @@ from shes.baselines.collector import Actor, Collector
 from shes.baselines.learner_settings import HIRO_PRESETS, LearnerSettings
 from shes.baselines.levels import LearnerState, Level, Replay, flat, within
 from shes.envs.episode_batch import EpisodeBatch
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError, import_extra
 from shes.es.level import LevelParameters
 from shes.machine import free_memory
 from shes.settings import Settings
@@ -112,13 +112,8 @@ class TD3(Algorithm[TD3State]):
     @staticmethod
     def check_installed(name: str) -> None:
         """Raise MissingExtraError unless JAX and Optax are installed, and ConfigError if they find no device."""
-        try:
-            learning = importlib.import_module(LEARNING)
-        except ImportError as error:
-            raise MissingExtraError(
-                f"--algorithm {name} needs JAX and Optax ({error}). Install them: pip install 'shes[hiro]'."
-            ) from error
-        learning.check_device()
+        need, fix = f"--algorithm {name} needs JAX and Optax", "Install them: pip install 'shes[hiro]'."
+        import_extra(LEARNING, need, fix).check_device()
 
     def run(self, state: TD3State, backend: Backend) -> Generator[Report[TD3State], None, None]:
         """Yield a report after every generation from `state` on, indefinitely. `backend` is not used."""

@@ -7,7 +7,6 @@ files, and `examples/run_exported.py` acts by NumPy alone.
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -20,7 +19,7 @@ from shes.agents.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.agents.mlp import MLP
 from shes.envs.bodies.body import Body, SymmetryGroup, dihedral_group, yaw
 from shes.envs.episode_batch import EpisodeBatch
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError, import_extra
 from shes.es.level import LevelParameters
 from shes.runs.build import OpenedRun, open_run
 from shes.settings import checked
@@ -166,13 +165,8 @@ def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -
 
 def _write_onnx(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
     """Write a file for each network, with its graph and the description. Source: the ONNX operator set 17."""
-    try:
-        onnx: Any = importlib.import_module("onnx")
-    except ImportError as error:
-        raise MissingExtraError(
-            f"the format onnx needs the package onnx ({error}). Install it: pip install 'shes[onnx]', or use --format "
-            "npz."
-        ) from error
+    fix = "Install it: pip install 'shes[onnx]', or use --format npz."
+    onnx = import_extra("onnx", "the format onnx needs the package onnx", fix)
     models = {}
     for name, (policy, level) in networks.items():
         model = onnx.helper.make_model(

@@ -19,7 +19,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from shes.errors import MissingExtraError, ShesError
+from shes.errors import ShesError, import_extra
 from shes.rollout.episodes import PARTS
 from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.listings import run_state
@@ -256,11 +256,8 @@ def _origins(runs: Sequence[RunData]) -> str:
 
 def _read_plotly() -> str:
     """Return the program plotly.js; raise MissingExtraError if plotly is not installed."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise MissingExtraError(f"a report needs plotly ({error}). Install it: pip install 'shes[report]'.") from error
-    return get_plotlyjs().replace("</script", "<\\/script")
+    plotly = import_extra("plotly.offline", "a report needs plotly", "Install it: pip install 'shes[report]'.")
+    return plotly.get_plotlyjs().replace("</script", "<\\/script")
 
 
 def _section(title: str, *parts: str) -> str:
