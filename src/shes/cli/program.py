@@ -36,8 +36,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("cli.parsing.completion", "print a script that completes commands and flags with the Tab key"),
 }
 """Function of every command, below `shes`, and its line in the overview."""
-EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
-"""Flags of every command."""
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """Exit codes after Ctrl-C or SIGTERM, and if the reader of the output has gone."""
 _LEAST_COLUMNS = 20  # tables and help need some width
