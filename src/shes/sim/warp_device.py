@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError, MissingExtraError, import_extra
 
 DEVICES = ("warp-cpu", "cuda")
 _PACKAGES = ("mujoco-warp", "warp-lang")
@@ -30,17 +30,11 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
     Warp's messages on stdout about itself and the kernels that it compiles are turned off, unless the caller has set a
     log level. So is what its native code writes to stderr without a GPU: the error that `WarpDevice` raises says it.
     """
-    try:
-        import warp
-
-        if warp.config.log_level == warp.LOG_INFO:
-            warp.config.log_level = warp.LOG_WARNING
-        import mujoco_warp
-    except ImportError as error:
-        raise MissingExtraError(
-            f"mujoco-warp cannot be imported ({error}). Install it: pip install 'shes[gpu]', or 'shes[warp]' for "
-            "--device warp-cpu alone."
-        ) from error
+    fix = "Install it: pip install 'shes[gpu]', or 'shes[warp]' for --device warp-cpu alone."
+    warp = import_extra("warp", "mujoco-warp cannot be imported", fix)
+    if warp.config.log_level == warp.LOG_INFO:
+        warp.config.log_level = warp.LOG_WARNING
+    mujoco_warp = import_extra("mujoco_warp", "mujoco-warp cannot be imported", fix)
     with Path(os.devnull).open("w") as nowhere, suppress(OSError):  # stderr may be closed
         stderr = os.dup(2)
         os.dup2(nowhere.fileno(), 2)
