@@ -23,7 +23,7 @@ class ExportedAgent:
         self.reset()
 
     def reset(self):
-        self.step, self.goal, self.element = 0, 0j, 0
+        self.step, self.goal, self.way, self.element = 0, 0j, 0j, 0
 
     def act(self, observation, pose=None, goal=None):
         """Return the controls in [-1, 1]; `pose` (x, y, heading) if the file has none, `goal` (x, y) of a primitive."""
@@ -47,7 +47,8 @@ class ExportedAgent:
         own, angle = view_of(seen, skill["view"], heading)
         if self.step % self.spec["controller_interval"] == 0:
             self.goal = position + self.decide(seen, heading) if "controller" in self.spec else complex(*goal) / scale
-            way = (self.goal - position) * unit(angle).conjugate()
+            self.way = self.goal - position
+            way = self.way * unit(angle).conjugate()
             turn = np.arctan2(way.imag, way.real) * (skill["num_turns"] / (2 * np.pi))
             mirrored = skill["is_mirrored"] and turn < np.rint(turn)
             self.element = int(np.rint(turn)) % skill["num_turns"] + skill["num_turns"] * bool(mirrored)
@@ -80,7 +81,8 @@ class ExportedAgent:
 
     def decide(self, seen, heading):
         boss = self.spec["controller"]
-        values, _ = view_of(seen, boss["view"], heading)
+        last_goal = [self.way.real / boss["goal_distance_m"], self.way.imag / boss["goal_distance_m"]]
+        values, _ = view_of(seen, boss["view"], heading, last_goal)
         out = self.network("controller", values).astype(np.float64)
         if boss["num_sectors"]:
             along = sectors_of(boss["num_sectors"]) * (2 / boss["num_sectors"])
@@ -119,12 +121,13 @@ def sectors_of(count):
     return np.cos(middle) + 1j * np.sin(middle)
 
 
-def view_of(seen, view, heading):
+def view_of(seen, view, heading, last_goal=()):
     """Return what a level sees of the observation, and the angle of the frame in which it sees it."""
     columns = seen if view["columns"] is None else seen[view["columns"]]
     if view["kind"] == "columns":
         return columns, heading
     if view["kind"] == "sectors":
+        seen = np.append(seen, last_goal)
         turned = [complex(*(seen[[x, y]] / scale)) * unit(heading).conjugate() for x, y, scale in view["vectors"]]
         along, rings = sectors_of(len(view["rings"][0])), seen[np.array(view["rings"])]
         parts = [vector.real * along.real + vector.imag * along.imag for vector in (1 + 0j, *turned)]

@@ -15,14 +15,14 @@ from shes.agents.agent import AgentInputs
 from shes.runs.build import build_algorithm, build_environment, build_options
 from shes.runs.make_config import make_config
 from tests.rollout.designs import INTERVAL, OBSERVED, every_design, levels_of, thetas_of
-from tests.rollout.plain_agent import PlainAgent, columns
+from tests.rollout.plain_agent import PlainAgent, columns, rotated
 
 MEMBERS, EPISODES, STEPS = 4, 2, 2 * INTERVAL + 2
 WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
 EGOCENTRIC = {**WALKER, "controller_interval": INTERVAL, "hidden": (6, 5)}
 WITH_CONTROLLER = {**EGOCENTRIC, "controller_output": "heading_direction", "controller_view": "egocentric"}
 ANTS = {
-    "ant-gather": WITH_CONTROLLER,
+    "ant-gather": {**WITH_CONTROLLER, "controller_view": "sectors"},
     "ant-maze": {**WITH_CONTROLLER, "symmetry": "rotation", "goal_encoding": "vector"},
     "ant-push": {**EGOCENTRIC, "controller_output": "vector", "goal_encoding": "unit_vector"},
     "ant-flagrun": EGOCENTRIC,
@@ -97,6 +97,14 @@ def tumbling(name, rng):
     others = [i for i, each in enumerate(task.observation_names) if each not in robot]
 
     def see(view, observation, heading):
+        if view.sees_last_goal:
+            middles = np.arange(-0.9, 1, 0.2) * np.pi
+            readings = observation[task.sensor_rings].ravel()
+            turned = [
+                rotated(observation[[x, y]] / view.units[name], -heading) for name, (x, y) in view.vectors.items()
+            ]
+            parts = [x * np.cos(middles) + y * np.sin(middles) for x, y in [(1, 0), *turned]]
+            return np.concatenate([readings, readings**8, *parts]), heading
         if not view.is_egocentric:
             return columns(view, observation, heading)
         qpos, qvel = np.split(observation[task.proprioception][None], [task.robot.num_qpos], axis=1)

@@ -107,7 +107,7 @@ class PlainAgent:
         if self.has_goals:
             self.encoding = _name(GOAL_ENCODINGS, design.goal_encoding)
             self.reward = _name(PRIMITIVE_REWARDS, design.primitive_reward)
-        self.clock, self.goals_reached, self.element = 0, 0, None
+        self.clock, self.goals_reached, self.element, self.way = 0, 0, None, (0.0, 0.0)
         self.inputs = [[] for _ in levels]
         """What each level has seen so far."""
 
@@ -140,7 +140,10 @@ class PlainAgent:
     def _set_goal(self, observation, position, heading, goal, noise):
         own = self.design
         if own.controller_view is not None:
-            output = self._output(0, self.see(own.controller_view, observation, heading)[0]) + noise
+            seen = observation
+            if own.controller_view.sees_last_goal:
+                seen = np.append(observation, np.array(self.way) / own.goal_distance)
+            output = self._output(0, self.see(own.controller_view, seen, heading)[0]) + noise
             vector = decide(
                 _name(CONTROLLER_OUTPUTS, own.controller_output), output.tolist(), heading, own.goal_distance
             )

@@ -61,9 +61,9 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
     (network, primitive), view = design.policies, design.controller_view
     theta = rng.normal(0, 0.5, network.num_params).astype(np.float32)
     if change == "turn":
-        of_heading = network.index[: network.sizes[0] * network.sizes[1]].reshape(7, 10, -1)[4]
+        of_heading = network.index[: network.sizes[0] * network.sizes[1]].reshape(8, 10, -1)[4]
         theta[np.unique(of_heading)] = 0
-    total, squares = rng.uniform(0, 9, 70), rng.uniform(40, 60, 70)
+    total, squares = rng.uniform(0, 9, 80), rng.uniform(40, 60, 80)
     network.pool(total, squares)
     statistics = ObservationStatistics(count=20, total=total, total_squares=squares)
     unseen = ObservationStatistics.empty(primitive.sizes[0])
@@ -75,7 +75,8 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
         for own, level in zip(agent.levels, levels, strict=True):
             own.theta[0] = level.theta
         agent.start(slice(None))
-        agent.act(AgentInputs(observation, position, np.zeros(len(observation))))
+        for _ in range(design.controller_interval + 1):  # until it has seen its first goal
+            agent.act(AgentInputs(observation, position, np.zeros(len(observation))))
         return agent.goal - position
 
     observation, angle = rng.uniform(0, 1, (6, 25)), np.pi / 5
@@ -83,7 +84,7 @@ def test_an_equivariant_controller_follows_a_changed_world(change):
     matrix = np.transpose([[1, 0], [0, -1]] if change == "mirror" else turn)
     rings, changed = np.array(view.rings), observation.copy()
     changed[:, rings] = observation[:, rings[:, ::-1] if change == "mirror" else np.roll(rings, 1, axis=1)]
-    for columns in view.vectors.values():
+    for columns in (view.vectors["position"], view.vectors["velocity"]):
         changed[:, columns] = observation[:, columns] @ matrix
     plain, answer = (goals(each, each[:, view.vectors["position"]]) for each in (observation, changed))
     np.testing.assert_allclose(np.hypot(*plain.T), 4.0, rtol=1e-6)

@@ -119,8 +119,10 @@ SECTORS = {"controller_view": "sectors", "controller_output": "heading_direction
 def test_sectors_show_readings_and_the_component_of_each_vector(env, spec):
     config = make_config(env, "smoke", {"spec": spec, "reset_noise": 0.1, **SECTORS})
     design, (task, observed) = build_algorithm(config).design, moving(config, 8)
-    view, before, out = design.controller_view, observed.copy(), np.full((8, 70), np.nan)
-    assert view.size(task.observation_size) == design.observation_sizes[0] == 70
+    goals = np.random.default_rng(1).normal(size=(8, 2))
+    observed = np.concatenate([observed, goals], axis=1)
+    view, before, out = design.controller_view, observed.copy(), np.full((8, 80), np.nan)
+    assert view.size(task.observation_size) == design.observation_sizes[0] == 80
     assert view.write(observed, task.heading, out) is task.heading
     assert np.array_equal(observed, before)
     readings = observed[:, task.sensor_rings.ravel()]
@@ -128,14 +130,14 @@ def test_sectors_show_readings_and_the_component_of_each_vector(env, spec):
     assert out[:, 20:40] == pytest.approx(readings**8)
     for row in range(8):
         ahead = [np.cos(task.heading[row]), np.sin(task.heading[row])]
-        vectors = np.array([ahead, task.position[row] / 8, task.sim.qvel[row, :2]])
+        vectors = np.array([ahead, task.position[row] / 8, task.sim.qvel[row, :2], goals[row]])
         for sector in range(10):
             middle = task.heading[row] - np.pi + (sector + 0.5) * np.pi / 5
             assert out[row, 40 + sector :: 10] == pytest.approx(vectors @ [np.cos(middle), np.sin(middle)], abs=1e-12)
     names = view.names(task.observation_names)
-    picked = ("food_0", "poison_0, eighth power", "heading along sector 1", "velocity along sector 9")
-    assert tuple(names[i] for i in (0, 30, 41, 69)) == picked
-    assert len(set(names)) == 70
+    picked = ("food_0", "poison_0, eighth power", "heading along sector 1", "last goal along sector 9")
+    assert tuple(names[i] for i in (0, 30, 41, 79)) == picked
+    assert len(set(names)) == 80
 
 
 BLOCK = ("block_x", "block_y", "block_vx", "block_vy")

@@ -101,7 +101,7 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         self._num_used: IntArray = np.zeros(self.num_lanes, dtype=np.int64)  # of the recorded goals
         if design.controller_view is not None:
             self._controller_view = design.controller_view.on(xp)
-            self._controller_inputs: F64Array = xp.zeros((rows, design.observation_sizes[0]))
+            self.controller_inputs = self._controller_inputs = xp.zeros((rows, design.observation_sizes[0]))
         self._view = design.primitive_view.on(xp)
         self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))  # of the primitives
@@ -112,6 +112,11 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         self._seen = self._inputs[:, view_start:]
         self._unturned = self._seen if self._frames is None else xp.zeros_like(self._seen)  # in the robots' own frames
         self._zero_angle: F64Array = xp.zeros(rows)
+
+    def start(self, lanes: slice | IntArray) -> None:
+        """Start new episodes in `lanes`, in which no goal has been set."""
+        super().start(lanes)
+        self._way[self.rows(lanes)] = 0.0
 
     def go_on(self, lane: int, steps: int, goals: F64Array) -> None:
         """Let the episodes of `lane` pursue recorded `goals` [J, 2]; see `AgentBatch.go_on`."""
@@ -157,7 +162,11 @@ class GoalAgent(AgentBatch["GoalDesign"]):
         """Return the vectors [rows, 2] to the goals that the controllers of lanes `due` set for episodes `rows`."""
         own, seen, heading = self.design, self._controller_inputs[rows], inputs.heading[rows]
         assert own.controller_output is not None
-        self._controller_view.write(inputs.observation[rows], heading, seen)
+        observation = inputs.observation[rows]
+        if self._controller_view.sees_last_goal:
+            observation = np.concatenate([observation, self._way[rows] / own.goal_distance], axis=1)
+        self._controller_view.write(observation, heading, seen)
+        self._controller_inputs[rows] = seen
         output = self.levels[0].act(seen, inputs.decision_noise, rows, due)
         vector = own.controller_output.vector(output.astype(np.float64), heading, own.goal_distance)
         return _push_outward(vector) if own.has_minimum_goal_distance else vector

@@ -51,6 +51,9 @@ class View(ABC):
 
     is_egocentric: bool = False
     """Whether the values, like the goals, are expressed in the robot's own frame."""
+    sees_last_goal: bool = False
+    """Whether the observation is followed by the last goal: x and y in the world frame relative to where the robot was
+    when it was set, divided by the goal distance; 0 at the start of an episode."""
 
     @abstractmethod
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
@@ -155,25 +158,27 @@ def sector_directions(num_sectors: int) -> tuple[F64Array, F64Array]:
 
 
 class SectorsView(View):
-    """A task's range sensors and three vectors, each as one value per sector around the robot: a symmetric input.
+    """A task's range sensors and vectors, each as one value per sector around the robot: a symmetric input.
 
     Turning the world around the robot, or mirroring it, permutes the sectors of every channel alike. The channels are
     the rings of sensors; their eighth powers, which resolve what is near as the readings resolve what is far; and the
-    heading, the robot's position in the world, and its velocity. A vector's value in a sector is its component along
-    the sector's middle. The heading is always straight ahead, so its values are constants, by which a controller can
-    tell the sectors apart.
+    heading, the robot's position in the world, its velocity and the last goal. A vector's value in a sector is its
+    component along the sector's middle. The heading is always straight ahead, so its values are constants, by which a
+    controller can tell the sectors apart.
 
     Source: `docs/learning.md`, "Equivariant controllers".
     """
+
+    sees_last_goal = True
 
     def __init__(
         self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]], scale: float = 1.0
     ) -> None:
         """See the sensors at `rings` [ring, sector], and the vectors whose x and y are at these places, by name.
 
-        `scale` is the number of metres that count as one.
+        `scale` is the number of metres that count as one. The last goal is at the end.
         """
-        self.units = {name: scale * unit for name, unit in SECTORS_SCALE.items()}
+        self.units = {**{name: scale * unit for name, unit in SECTORS_SCALE.items()}, "last goal": 1.0}
         self.rings = tuple(tuple(ring) for ring in rings)
         self.vectors = {name: (int(x), int(y)) for name, (x, y) in vectors.items()}
         self.num_sectors = len(self.rings[0])
@@ -250,11 +255,12 @@ def egocentric_and_others(task: EpisodeBatch) -> View | str:
 
 
 def sectors(task: EpisodeBatch) -> View | str:
-    """The task's sensors, and the heading and the position by sector (Gather): what the equivariant network needs."""
+    """The task's sensors, and vectors such as the position, by sector (Gather): what the equivariant network needs."""
     if not task.sensor_rings.size or not len(task.position_columns) or task.robot is None:
         return "and no sensors around it apart from its position, as Gather has"
     velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
     vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
+    vectors["last goal"] = [task.observation_size, task.observation_size + 1]
     return SectorsView(task.sensor_rings.tolist(), vectors, task.scale)
 
 

@@ -45,6 +45,7 @@ class _HiroAgent(AgentBatch["HiroDesign"]):
         self.goal = self._target[:, :2]
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
         self._view = design.primitive_view.on(xp)
+        self.controller_inputs = self._seen = xp.zeros((rows, design.observation_sizes[0]))
 
     def act(self, inputs: AgentInputs) -> F32Array:
         design, size, observation = self.design, self.design.decision_size, inputs.observation
@@ -53,6 +54,7 @@ class _HiroAgent(AgentBatch["HiroDesign"]):
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self.rows(due)
+            self._seen[rows] = observation[rows]
             output = self.levels[0].act(observation[rows], inputs.decision_noise, rows, due)
             self._target[rows] = coordinates[rows] + output * self._limit
         self.clock += 1

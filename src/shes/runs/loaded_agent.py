@@ -78,6 +78,11 @@ class Agent:
         held = self._agent.goal
         return None if held is None else held * self._scale
 
+    @property
+    def controller_inputs(self) -> F64Array | None:
+        """What the controllers saw when they set these goals [num_envs, inputs]; None without a controller."""
+        return self._agent.controller_inputs
+
     def reset(self, env: int | None = None) -> None:
         """Begin a new episode in environment `env`, or in all: the next `act` sets new goals."""
         if env is not None and not (is_whole(env) and 0 <= env < self.num_envs):

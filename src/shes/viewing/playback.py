@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, pairwise
 from pathlib import Path
@@ -12,9 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from shes.agents.views import View
 from shes.drawing.window import open_window
-from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker
 from shes.runs.build import open_run
 from shes.runs.evaluate import fresh_seeds
@@ -68,7 +66,8 @@ class Playback:
         self._agent = Agent(opened)
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
-        self._view = opened.algorithm.design.controller_view if sensors else None
+        view = opened.algorithm.design.controller_view if sensors else None
+        self._names = () if view is None else view.names(self.task.observation_names)
 
     @property
     def goal(self) -> F64Array | None:
@@ -97,7 +96,7 @@ class Playback:
                 return
 
     def _played(self, step: int, trail: deque[F64Array], end: str) -> PlayedStep:
-        task, height = self.task, self.task.ground_m + _ABOVE_GROUND_M
+        task, height, seen = self.task, self.task.ground_m + _ABOVE_GROUND_M, self._agent.controller_inputs
         sensed = task.sensor_markers(0) if self._shows_sensors else []
         places = [(*place, height) for place in trail]
         way = [Marker("line", start, _LINE_RADIUS_M, TRAIL, stop) for start, stop in pairwise(places)]
@@ -110,21 +109,15 @@ class Playback:
             pose=task.pose(0),
             markers=[*task.markers(0), *sensed, *way, spot, *to_goal],
             facts=tuple(filter(None, facts)),
-            inputs=() if self._view is None else input_words(self._view, task),
+            inputs=() if seen is None or not self._names else input_words(self._names, seen[0]),
             is_last=bool(end),
         )
 
 
-def input_words(view: View, task: EpisodeBatch) -> tuple[str, ...]:
-    """Return names and values of what a controller with `view` sees in the first episode of `task`.
-
-    Of many inputs whose names begin with one word, their number and the largest.
-    """
-    names = view.names(task.observation_names)
-    values = np.zeros((1, len(names)))
-    view.write(task.observe(), task.heading, values)
+def input_words(names: Sequence[str], values: F64Array) -> tuple[str, ...]:
+    """Return `names` and `values` of what a controller sees; of many that begin with one word, number and largest."""
     alike: dict[str, dict[str, float]] = {}
-    for name, value in zip(names, values[0].tolist(), strict=True):
+    for name, value in zip(names, values.tolist(), strict=True):
         word = re.match(r"[^\W\d_]+", name)
         alike.setdefault(word[0] if word else name, {})[name] = value
     found = [f"controller sees {len(names)} value{'s' * (len(names) != 1)}"]
