@@ -135,7 +135,7 @@ def test_sectors_show_readings_and_the_component_of_each_vector(env, spec):
             middle = task.heading[row] - np.pi + (sector + 0.5) * np.pi / 5
             assert out[row, 40 + sector :: 10] == pytest.approx(vectors @ [np.cos(middle), np.sin(middle)], abs=1e-12)
     names = view.names(task.observation_names)
-    picked = ("food_0", "poison_0, eighth power", "heading along sector 1", "last goal along sector 9")
+    picked = ("food_0", "poison_0, eighth power", "heading along sector 1", "goal along sector 9")
     assert tuple(names[i] for i in (0, 30, 41, 79)) == picked
     assert len(set(names)) == 80
 

@@ -13,7 +13,7 @@ FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")
 @pytest.mark.parametrize("label", ["mine", LONG, "x" * 200])
 @pytest.mark.parametrize("size", [64, 160, 1080])
 def test_no_line_is_cut_and_half_of_the_picture_is_left(size, label):
-    picture = captioned(np.zeros((size, size, 3), np.uint8), [(label, *FACTS), ("controller sees 2 values", "x -1.20")])
+    picture = captioned(np.zeros((size, size, 3), np.uint8), [(label, *FACTS), ("controller saw 2 values", "x -1.20")])
     ink = picture.min(axis=2) > 120
     assert ink[: size // 4].any()
     assert not ink[:, -3:].any()
@@ -30,7 +30,7 @@ def test_a_text_that_is_too_long_is_shortened_in_its_middle():
 def test_three_inputs_of_one_word_are_listed_and_four_are_not():
     names = ["food_1", "food_2", "food_3", "wall_1", "wall_2", "wall_3", "wall_4"]
     listed = ("food 1 0.00", "food 2 1.00", "food 3 2.00", "4 of wall up to 6.00")
-    assert input_words(names, np.arange(7.0)) == ("controller sees 7 values", *listed)
+    assert input_words(names, np.arange(7.0)) == ("controller saw 7 values", *listed)
 
 
 def test_inputs_are_those_of_a_controller_and_shown_if_asked_for(tiny_run, kinds):
@@ -38,7 +38,7 @@ def test_inputs_are_those_of_a_controller_and_shown_if_asked_for(tiny_run, kinds
         return next(Playback(run, "best", **settings).play(3)).inputs
 
     first, *others = shown(tiny_run, sensors=True)
-    assert first == "controller sees 25 values"
+    assert first == "controller saw 25 values"
     summed = [word.split(" up to ")[0] for word in others if " of " in word]
     assert summed == ["4 of torso", "10 of food", "10 of poison"]
     assert shown(tiny_run) == shown(kinds["flat"], sensors=True) == ()

@@ -52,14 +52,15 @@ class View(ABC):
     is_egocentric: bool = False
     """Whether the values, like the goals, are expressed in the robot's own frame."""
     sees_last_goal: bool = False
-    """Whether the observation is followed by the last goal: x and y in the world frame relative to where the robot was
-    when it was set, divided by the goal distance; 0 at the start of an episode."""
+    """Whether the last goal follows the observed values: x and y in the world frame, from where the robot was when it
+    was set, divided by the goal distance; 0 before the first goal."""
 
     @abstractmethod
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Write the view of `observation` [N, O] into `out` [N, V], and return the angle of its frame [N] in radians.
 
-        `heading` [N] is that of the robots; a view without a frame of its own returns it.
+        O is larger by 2 if the view sees the last goal. `heading` [N] is that of the robots; a view without a frame of
+        its own returns it.
         """
 
     @abstractmethod
@@ -178,7 +179,7 @@ class SectorsView(View):
 
         `scale` is the number of metres that count as one. The last goal is at the end.
         """
-        self.units = {**{name: scale * unit for name, unit in SECTORS_SCALE.items()}, "last goal": 1.0}
+        self.units = {**{name: scale * unit for name, unit in SECTORS_SCALE.items()}, "goal": 1.0}
         self.rings = tuple(tuple(ring) for ring in rings)
         self.vectors = {name: (int(x), int(y)) for name, (x, y) in vectors.items()}
         self.num_sectors = len(self.rings[0])
@@ -260,7 +261,7 @@ def sectors(task: EpisodeBatch) -> View | str:
         return "and no sensors around it apart from its position, as Gather has"
     velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
     vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
-    vectors["last goal"] = [task.observation_size, task.observation_size + 1]
+    vectors["goal"] = [task.observation_size, task.observation_size + 1]
     return SectorsView(task.sensor_rings.tolist(), vectors, task.scale)
 
 

@@ -231,6 +231,7 @@ _ANT_TO_TARGET = {
     "practice": 60,
     "schedule_generations": 140,
     "generations": 200,
+    "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
 # A higher rate: falls. Goals of 10 steps, or less practice: a late path.
 _STIFF = {"learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80, "generations": 220}

@@ -81,7 +81,8 @@ class Agent:
     @property
     def controller_inputs(self) -> F64Array | None:
         """What the controllers saw when they set these goals [num_envs, inputs]; None without a controller."""
-        return self._agent.controller_inputs
+        seen = self._agent.controller_inputs
+        return None if seen is None else seen.copy()
 
     def reset(self, env: int | None = None) -> None:
         """Begin a new episode in environment `env`, or in all: the next `act` sets new goals."""

@@ -115,17 +115,17 @@ class Playback:
 
 
 def input_words(names: Sequence[str], values: F64Array) -> tuple[str, ...]:
-    """Return `names` and `values` of what a controller sees; of many that begin with one word, number and largest."""
+    """Return `names` and `values` of what a controller saw; of many that begin with one word, number and largest."""
     alike: dict[str, dict[str, float]] = {}
     for name, value in zip(names, values.tolist(), strict=True):
         word = re.match(r"[^\W\d_]+", name)
         alike.setdefault(word[0] if word else name, {})[name] = value
-    found = [f"controller sees {len(names)} value{'s' * (len(names) != 1)}"]
+    found = [f"controller saw {len(names)} value{'s' * (len(names) != 1)}"]
     for word, group in alike.items():
         if len(group) <= _FEW_ALIKE:
             found += [f"{name.replace('_', ' ')} {value:.2f}" for name, value in group.items()]
         else:
-            found.append(f"{len(group)} of {word} up to {max(group.values()):.2f}")
+            found.append(f"{len(group)} of {word} up to {max(group.values()) + 0.0:.2f}")
     return tuple(found)
 
 
@@ -133,7 +133,7 @@ def input_words(names: Sequence[str], values: F64Array) -> tuple[str, ...]:
 def watch(run: Path | str, *, checkpoint: str = "best", seed: Annotated[int, Ge(0)] | None = None) -> None:
     """Show the episodes that `evaluate` runs in a window, in real time, until it is closed. It needs a display.
 
-    The window also shows what the controller sees, in words, and what the agent's sensors read, if it has any (Gather).
+    The window also shows in words what the controller saw when it set its goal, and the agent's sensors (Gather).
 
     Args:
         run: The run folder, or the name of a shipped agent.

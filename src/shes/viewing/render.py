@@ -84,8 +84,7 @@ def render(
         size: Height and width of a view in pixels; even.
         steps: Maximum number of control steps; those of an evaluation if None.
         speed: Seconds of the episode in a second of the video; a faster video has fewer frames and is drawn sooner.
-        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read, if it has any
-            (Gather).
+        sensors: Whether to show in words what the controller saw when it set its goal, and its sensors (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
     """
     target = Path(out)
