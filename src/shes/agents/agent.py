@@ -105,7 +105,7 @@ class AgentBatch(ABC, Generic[Design]):
     goal: F64Array | None = None
     """Current goals in the world frame [N, 2] in metres; None if the agent has no goals."""
     controller_inputs: F64Array | None = None
-    """What the controllers saw when they set these goals [N, inputs]; None without a controller that has a view."""
+    """Inputs of the controllers [N, inputs] when they set the current goals; None without a controller."""
 
     def __init__(
         self, design: Design, num_lanes: int, rows_per_lane: int, xp: ModuleType = np, *, shares_noise: bool = False

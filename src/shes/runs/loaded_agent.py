@@ -80,7 +80,7 @@ class Agent:
 
     @property
     def controller_inputs(self) -> F64Array | None:
-        """What the controllers saw when they set these goals [num_envs, inputs]; None without a controller."""
+        """Inputs of the controllers [num_envs, inputs] when they set the current goals; None without a controller."""
         seen = self._agent.controller_inputs
         return None if seen is None else seen.copy()
 
