@@ -53,6 +53,10 @@ class FakeTask:
         return self.terminated & (self.age % 2 == 1)
 
     @property
+    def tilt(self):
+        return np.where(self.diverged, np.nan, np.abs(np.sin(self.age + self.position[:, 0])) / 2)
+
+    @property
     def reward_after_end(self):
         return np.where(self.terminated & ~self.diverged, -2.0, 0.0)
 

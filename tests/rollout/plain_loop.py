@@ -63,7 +63,8 @@ def play(design, make_batch, task, generation, table, horizon):
     control = np.zeros((rows, horizon, batch.action_size), np.float32)
     for slot, seed in zip(slots, task.seeds, strict=True):
         decision[slot], control[slot] = added(design, generation, seed, horizon, batch.action_size)
-    is_running, steps, intrinsic = np.isin(np.arange(rows), slots), np.zeros(rows, int), np.zeros(rows)
+    is_running, steps = np.isin(np.arange(rows), slots), np.zeros(rows, int)
+    intrinsic, tilt = np.zeros((2, rows))
     outcomes, moments = empty_outcomes(len(design.dims), rows), [sums_of(level.moments) for level in agent.levels]
     seen = SimpleNamespace(states=[], goals=[], ends=[None] * rows)
     for step in range(horizon):
@@ -76,9 +77,11 @@ def play(design, make_batch, task, generation, table, horizon):
         batch.step(np.flatnonzero(is_running), action)
         steps[is_running] += 1
         intrinsic += agent.intrinsic_reward(batch.position) * ~batch.diverged * is_running
+        if design.has_intrinsic_reward:
+            tilt = np.where(is_running & ~batch.diverged & (batch.tilt > tilt), batch.tilt, tilt)
         for row in np.flatnonzero(is_running & (batch.terminated | batch.diverged | (steps == horizon))):
             is_running[row] = False
-            outcomes[row] = _outcome(batch, agent, row, steps[row], intrinsic[row], horizon)
+            outcomes[row] = _outcome(batch, agent, row, steps[row], intrinsic[row], tilt[row], horizon)
             for kept, level in zip(moments, agent.levels, strict=True):
                 kept[row] = sums_of(level.moments)[row]
             if hasattr(batch, "states"):
@@ -94,11 +97,11 @@ def sums_of(moments):
     return np.column_stack([moments.count, moments.total, moments.total_squares])
 
 
-def _outcome(batch, agent, row, steps, intrinsic, horizon):
+def _outcome(batch, agent, row, steps, intrinsic, tilt, horizon):
     """Return all quantities of the episode in `row`, which has just ended, as a row of `empty_outcomes`."""
     paid, names = batch.running_return[row] + batch.reward_after_end[row] * (horizon - steps), [*agent.design.networks]
     returns, is_sound = [intrinsic if name == "primitive" else paid for name in names], not batch.diverged[row]
-    ends = batch.terminated[row] and is_sound, batch.fallen[row] and is_sound, not is_sound
+    ends = batch.terminated[row] and is_sound, not is_sound, 1.0 if batch.fallen[row] and is_sound else tilt
     return (
         *(returns, paid, batch.score[row], batch.success[row], steps),
         *(*ends, agent.goals_reached[row], batch.position[row]),

@@ -175,7 +175,7 @@ def test_a_snapshot_is_the_state_at_its_decision_with_its_goals(beside, whole):
                 goals = [run.goals[each][slot] for each in range(wanted, min(steps, wanted + 15), STEPS)]
                 assert left.state.tobytes() == run.states[wanted][slot].tobytes()
                 assert left.goals.tobytes() == np.array(goals + goals[-1:] * (3 - len(goals))).tobytes()
-                seen.append((len(goals), run.outcomes[slot]["has_fallen"]))
+                seen.append((len(goals), run.outcomes[slot]["has_terminated"]))
     assert {(1, False), (2, False), (3, False)} < set(seen)  # and one that fell
     assert {left.steps for own in snapshots.values() for left in own} >= {0, 20}  # a start itself, and a last decision
 
@@ -216,7 +216,7 @@ def test_running_episodes_go_on_where_the_kept_side_ended(alone):
         played = alone.check(pairs)
         for group, task in enumerate(pairs.tasks):
             before, kept = 0 if task.start is None else task.start.steps, task.kept_slot
-            run, has_fallen = played[task.member], played[task.member].outcomes[kept]["has_fallen"]
+            run, has_fallen = played[task.member], played[task.member].outcomes[kept]["has_terminated"]
             goes_on = not has_fallen and before + 10 < 30
             seen.add((before, has_fallen, goes_on))
             end = running and running[group]

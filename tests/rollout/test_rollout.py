@@ -107,8 +107,9 @@ def test_every_task_has_the_numbers_of_a_plain_loop(name):
         assert_equal(results_of(rollout, [part], generation)[part.member], played[part.member, part.slots])
     if name == "both":
         every = np.concatenate([each.outcomes for each in played.values()])
-        ends = set(every[["has_terminated", "has_diverged", "has_fallen"]].tolist())
+        ends = {(*end, fall == 1) for *end, fall in every[["has_terminated", "has_diverged", "fall"]].tolist()}
         assert {(False, False, False), (True, False, False), (False, True, False), (True, False, True)} == ends
+        assert len(np.unique(every["fall"])) > len(every) / 2  # the greatest tilt of each episode
         assert len(np.unique(every["returns"], axis=0)) == sum(len(task.slots) for task in tasks)
         assert every["goals_reached"].any()
 

@@ -77,10 +77,7 @@ def demo() -> None:
 
 
 def _learn(console: LineConsole, path: Path, stage: Stage, primitive: Mapping[str, Any]) -> int:
-    """Train with live progress, and print the mean result on fresh episodes before and after training.
-
-    Return the index of a typical episode: after training, its result is the nearest to the mean.
-    """
+    """Train with live progress, print the means before and after; return the trained episode nearest to the mean."""
     shes.train(stage.env, out=path, progress=True, **stage.settings, **primitive)
     evaluate = partial(shes.evaluate, path, episodes=EPISODES, seed=0)
     before, after = (getattr(evaluate(checkpoint=name), stage.column) for name in _BEFORE_AFTER)

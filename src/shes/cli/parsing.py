@@ -184,10 +184,7 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 
 
 def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
-    """Return the settings of `env` with the preset and the algorithm in `words`; raise UnknownNameError for any name.
-
-    All names are checked, because an unknown choice also makes its options unknown.
-    """
+    """Return the settings of `env` with the preset and algorithm in `words`; raise UnknownNameError for any name."""
     choosing = {each.flag: each for each in known_settings().values() if each.choices or each.kind is dict}
     pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]
     found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}

@@ -151,6 +151,11 @@ class EpisodeBatch(ABC):
         """Whether the episode has ended by a fall [N]; in an external environment, by a termination without success."""
 
     @property
+    def tilt(self) -> F64Array:
+        """Tilt as a fraction of a fall [N]: (1 - cos tilt) / (1 - cos 60 degrees), at most 1; 0 if unknown."""
+        return self.xp.zeros(self.num_episodes)
+
+    @property
     def reward_after_end(self) -> F64Array:
         """Reward of each step up to the horizon that an ended episode no longer makes [N]; 0 unless it `ends_early`."""
         return self.xp.zeros(self.num_episodes)

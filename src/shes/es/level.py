@@ -78,14 +78,14 @@ class UpdateRule:
     holds_when_tied: bool = False
     """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
     fall_price: float = 0.0
-    """Subtracted from a member's shaped fitness for a fall, zero or positive. It is no part of the return."""
+    """Subtracted from a member's shaped fitness for a fall, in part for tilt; zero or positive, not in the return."""
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
 
     def shape(self, fitness: F64Array, signs: NDArray[np.int8], falls: F64Array | None = None) -> F64Array:
         """Return the shaped fitness [n'] of the members that perturb a level, given the signs [G, M] of all.
 
-        `fitness` [n] and the mean number of `falls` [n] are those of all members. Raise PolicyError unless every
+        `fitness` [n] and the mean of `falls` [n] in [0, 1] are those of all members. Raise PolicyError unless every
         fitness is finite.
         """
         active = select_fitness(fitness, signs)

@@ -73,7 +73,7 @@ def evolve(
             statistics = level.statistics.merge(**vars(results.statistics[i])) if learns else level.statistics
             observed = replace(level, statistics=statistics)
             # lines 4 and 5: theta += alpha / n * sum(f * epsilon), where f is ranked and shaped.
-            fitness = rule.shape(results.fitness[i], signs, results.has_fallen.mean(axis=1))
+            fitness = rule.shape(results.fitness[i], signs, results.fall.mean(axis=1))
             updates.append(update_level(observed, fitness, signs, noise_index, table, rule, source.learning_rate, pool))
         state = replace(
             state,

@@ -97,7 +97,7 @@ class PrimitiveEstimateSettings(Settings):
     intervals: Annotated[int, Ge(1), _BY_INTERVAL] = 2
     """Goals that a branch pursues, each for a controller interval."""
     fall_price: Annotated[float, Ge(0)] = 0.0
-    """Subtracted from a primitive's shaped fitness for a fall; the best pair has the weight 1."""
+    """Subtracted from a primitive's shaped fitness for a fall, in part for tilt; the best pair has the weight 1."""
 
 
 @dataclass(frozen=True, kw_only=True)

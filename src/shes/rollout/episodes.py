@@ -55,8 +55,8 @@ def empty_outcomes(num_levels: int, *shape: int) -> Outcomes:
         ("success", np.bool_),  # whether the task counts as solved
         ("steps", np.int64),  # environment steps; 0 for an episode that was not run
         ("has_terminated", np.bool_),  # whether a terminal state of the task ended the episode
-        ("has_fallen", np.bool_),  # whether a fall of the robot ended the episode
         ("has_diverged", np.bool_),  # whether the physics diverged
+        ("fall", np.float64),  # 1 if a fall of the robot ended the episode, else its greatest `EpisodeBatch.tilt`
         ("goals_reached", np.int64),  # number of goals that the primitive reached
         ("final_position", np.float64, (2,)),  # of the robot, in metres
     ]

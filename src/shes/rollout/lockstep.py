@@ -118,6 +118,7 @@ class Rollout:
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
         self._intrinsic_return: F64Array = self.xp.zeros(rows)
+        self._tilt: F64Array = self.xp.zeros(rows)
         self._seconds: F64Array = np.zeros(len(PARTS))
 
     def run(
@@ -183,6 +184,7 @@ class Rollout:
         if self._recorder is not None:
             self._recorder.begin(started)
         self._intrinsic_return[self.xp.asarray(rows)] = 0
+        self._tilt[self.xp.asarray(rows)] = 0
         self._steps[rows] = 0
         self._is_running[rows] = True
         self._running = np.flatnonzero(self._is_running)
@@ -218,6 +220,7 @@ class Rollout:
         if self.design.has_intrinsic_reward:
             # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
             self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
+            self._tilt = self.xp.fmax(self._tilt, self.xp.where(batch.diverged, 0, batch.tilt))
         paid = perf_counter()
         ended = self._is_running & (to_host(batch.terminated | batch.diverged) | (self._steps >= self.horizon))
         physics_s, policy_s = batch.physics_s - physics_s, acted - observed + paid - stepped
@@ -264,7 +267,7 @@ class Rollout:
             "goals_reached": agent.goals_reached,
             "has_diverged": batch.diverged,
             "has_terminated": batch.terminated & ~batch.truncated & ~batch.diverged,
-            "has_fallen": batch.fallen & ~batch.diverged,
+            "fall": self.xp.maximum(batch.fallen & ~batch.diverged, self._tilt),
             "final_position": batch.position,
         }
         # A single transfer. float64 represents every count exactly.

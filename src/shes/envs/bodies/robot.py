@@ -115,10 +115,7 @@ class Robot(FreeBody):
         return drawn
 
     def _parts(self) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
-        """Return the robot's spec with the motors of the options, and its root.
-
-        The root is the body with a free joint that has the most joints below it.
-        """
+        """Return the robot's spec with the options' motors, and its root: the free body with most joints."""
         spec, torque = self.file.spec(), self.options.motors
         kinds = {body: [joint.type for joint in body.joints] for body in spec.worldbody.bodies}
         free = [body for body, own in kinds.items() if mujoco.mjtJoint.mjJNT_FREE in own]
@@ -212,10 +209,7 @@ class Robot(FreeBody):
         return (middle - reach).min(axis=0), (middle + reach).max(axis=0)
 
     def _driven(self, model: mujoco.MjModel) -> tuple[tuple[F64Array, F64Array], F64Array | None]:
-        """Return offset and factor [A] of the actuators' controls, and the activations of the home pose, if any.
-
-        A control of 0 holds the home pose, ±1 is far from it.
-        """
+        """Return offset and factor [A] of controls (0 holds the home pose, ±1 is far), and its activations."""
         data = mujoco.MjData(model)
         data.qpos[:] = self.home
         mujoco.mj_forward(model, data)

@@ -25,6 +25,8 @@ from shes.sim.simulator import CpuSimulator, Simulator
 from shes.streams import EpisodePurpose, stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
+_COS_TILT_OF_A_FALL = 0.5  # 60 degrees
+
 SPECS = {"shes": "euler", "hiro": "rk4"}
 """Specifications and their integrators."""
 FURTHEST_M = 1000.0
@@ -163,6 +165,7 @@ class Task(EpisodeBatch):
         self.diverged, self.truncated = self.sim.diverged, self.xp.zeros(num_episodes, dtype=np.bool_)
         self._heading: F64Array | None = None  # computed when it is first read after a step
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
+        self._can_tilt = type(body).cos_tilt is not Body.cos_tilt
         max_tilt: float | None = getattr(options, "max_tilt", None)
         if max_tilt is not None:
             body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
@@ -246,6 +249,13 @@ class Task(EpisodeBatch):
     def fallen(self) -> BoolArray:
         """Whether the robot's fall has ended the episode [N]."""
         return self.terminated & self.is_down()
+
+    @property
+    def tilt(self) -> F64Array:
+        """Tilt as a fraction of a fall; see `EpisodeBatch.tilt`."""
+        if not self._can_tilt:
+            return super().tilt
+        return self.xp.minimum((1 - self.body.cos_tilt(self.sim.qpos)) / (1 - _COS_TILT_OF_A_FALL), 1)
 
     def is_down(self) -> BoolArray:
         """Return whether robots lie [N], by the rule of the body or by `max_tilt`, even if that ends no episode."""
