@@ -233,8 +233,9 @@ _ANT_TO_TARGET = {
     "generations": 200,
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
-# A higher rate: falls. Goals of 10 steps, or less practice: a late path.
+# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A price of 8: no push that tilts the robot.
 _STIFF = {"learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80, "generations": 220}
+_TO_BLOCK = {**_ANT_TO_TARGET, **_STIFF, "fall_price": 3.0}
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
@@ -280,8 +281,8 @@ SHES_PRESETS: Mapping[str, Preset] = {
             },
             "ant-gather": _ANT_TO_FOOD,
             "ant-maze": {**_ANT_TO_TARGET, "target": (0.0, 16.0)},  # that of evaluation: a search needs one target
-            "ant-push": {**_ANT_TO_TARGET, **_STIFF},
-            "ant-fall": {**_ANT_TO_TARGET, **_STIFF, "explore_horizon": 2500},
+            "ant-push": _TO_BLOCK,
+            "ant-fall": {**_TO_BLOCK, "explore_horizon": 2500},
             "flagrun": {
                 **_ROBOT_WALKER,
                 "hidden": (),

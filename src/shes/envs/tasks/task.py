@@ -26,7 +26,6 @@ from shes.streams import EpisodePurpose, stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
 _COS_TILT_OF_A_FALL = 0.5  # 60 degrees
-
 SPECS = {"shes": "euler", "hiro": "rk4"}
 """Specifications and their integrators."""
 FURTHEST_M = 1000.0
