@@ -209,7 +209,7 @@ class Robot(FreeBody):
         return (middle - reach).min(axis=0), (middle + reach).max(axis=0)
 
     def _driven(self, model: mujoco.MjModel) -> tuple[tuple[F64Array, F64Array], F64Array | None]:
-        """Return offset and factor [A] of controls (0 holds the home pose, ±1 is far), and its activations."""
+        """Return offset and factor [A] of controls (0 holds the home pose, ±1 is far), and its activations, if any."""
         data = mujoco.MjData(model)
         data.qpos[:] = self.home
         mujoco.mj_forward(model, data)
