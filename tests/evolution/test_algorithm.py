@@ -83,6 +83,18 @@ def test_every_level_has_its_own_rule(table):
     assert moved[1] == pytest.approx(0.02 * math.sqrt(5), rel=1e-3)  # the first step of Adam in every direction
 
 
+def test_falls_have_their_price_in_the_level_of_its_rule(table):
+    rule, price = UpdateRule(optimizer=SGD(momentum=0.0)), 0.7
+    updates = [(rule, replace(rule, fall_price=each)) for each in (0.0, price)]
+    free, priced = (formula_run(table, 1, replace(SETTINGS, updates=each))[1][0] for each in updates)
+    before, after = (each.state.levels for each in (free, priced))
+    assert after[0].theta.tolist() == before[0].theta.tolist()
+    falls, drawn = np.arange(8).reshape(2, 4) % 3 > 0, free.populations[0]
+    worth = -price * (falls - falls.mean()) / 2 * drawn.signs[:, :, 1]
+    noise = np.array([table.slice(index, DIMS[1]) for index in drawn.noise_index[1].tolist()], dtype=float)
+    assert after[1].theta - before[1].theta == pytest.approx(0.02 / 8 * worth.sum(axis=1) @ noise, abs=1e-6)
+
+
 def test_the_state_alone_decides_how_a_run_goes_on(table):
     """Not threads, not what was before, and it stays as it was."""
     state = formula_state()

@@ -13,11 +13,10 @@ def start():
     return Archive.start(np.array([[0, 0]]), np.array([[0.1, 0.2]]), state_size=3)
 
 
-def entered(archive, cells, steps, nodes, solved=()):
-    """Return the archive with places whose states are their numbers of steps."""
-    states = np.full((len(cells), 3), np.array(steps, float)[:, None])
-    is_success = np.isin(np.arange(len(cells)), solved)
-    return archive.entered(np.array(cells), states, np.array(steps), np.array(nodes), is_success=is_success)
+def entered(archive, steps, nodes, solved=()):
+    """Return the archive with nodes whose states are their numbers of steps."""
+    states = np.full((len(nodes), 3), np.array(steps, float)[:, None])
+    return archive.entered(states, np.array(steps), np.array(nodes), is_success=np.isin(nodes, solved))
 
 
 def by_cell(archive):
@@ -26,30 +25,30 @@ def by_cell(archive):
     return {tuple(cell): tuple(map(int, row)) for cell, row in zip(archive.cells.tolist(), rows, strict=True)}
 
 
-def grown(archive, parents, positions):
+def grown(archive, parents, places):
     """Return the archive with more nodes."""
-    chain = {"parents": [*archive.parents, *parents], "positions": [*archive.positions, *positions]}
-    return replace(archive, **{name: np.array(values) for name, values in chain.items()})
+    chain = {"parents": parents, "positions": np.array(places, float), "places": places}
+    return replace(archive, **{name: np.array([*getattr(archive, name), *chain[name]]) for name in chain})
 
 
 def line(*places):
     """Return an archive with a chain of nodes at `places` after the reset."""
-    return grown(start(), np.arange(len(places)), np.array(places, float))
+    return grown(start(), np.arange(len(places)), places)
 
 
 def test_a_cell_keeps_the_place_reached_in_fewest_steps():
-    archive = entered(line((1, 0), (2, 0), (3, 0)), [[1, 0], [-7, 2], [1, 0]], [20, 30, 20], [1, 2, 3])
+    archive = entered(line((1, 0), (-7, 2), (1, 0)), [20, 30, 20], [1, 2, 3])
     assert by_cell(archive) == {(0, 0): (0, 0, 0, 0), (1, 0): (20, 20, 1, 0), (-7, 2): (30, 30, 2, 0)}
     chosen = archive.chosen.copy()
     chosen[archive.cells.tolist().index([1, 0])] = 9
     archive = Archive(**{**vars(archive), "chosen": chosen})
-    again = entered(archive, [[1, 0], [-7, 2], [1, 0], [0, 0]], [10, 40, 5, 5], [2, 1, 3, 1])
-    assert by_cell(again) == {(0, 0): (0, 0, 0, 0), (1, 0): (5, 5, 3, 9), (-7, 2): (30, 30, 2, 0)}
+    again = entered(grown(archive, [0] * 4, [(1, 0), (-7, 2), (1, 0), (0, 0)]), [10, 40, 5, 5], [4, 5, 6, 7])
+    assert by_cell(again) == {(0, 0): (0, 0, 0, 0), (1, 0): (5, 5, 6, 9), (-7, 2): (30, 30, 2, 0)}
     assert by_cell(archive)[1, 0] == (20, 20, 1, 9)  # the archive before is as it was
 
 
 def test_seldom_chosen_cells_with_steps_left_are_chosen_more():
-    archive = entered(line((1, 0), (2, 0)), [[1, 0], [2, 0], [3, 0]], [10, 20, 31], [1, 2, 2])
+    archive = entered(line((1, 0), (2, 0), (3, 0)), [10, 20, 31], [1, 2, 3])
     archive = Archive(**{**vars(archive), "chosen": np.array([3, 0, 8, 0])})
     drawn = np.bincount(archive.choose(np.random.default_rng(0), 20_000, 30), minlength=4) / 20_000
     weights = np.array([1 / 2, 1, 1 / 3, 0])
@@ -58,14 +57,24 @@ def test_seldom_chosen_cells_with_steps_left_are_chosen_more():
 
 
 def test_the_way_is_the_shortest_chain_of_nodes_to_a_success():
-    archive = line((1, 0), (2, 0), (2, 5))
-    archive = entered(archive, [[9, 9], [2, 0], [2, 5]], [35, 20, 30], [2, 2, 3], solved=[0, 2])
+    archive = grown(line((1, 0), (2, 0), (2, 5)), [2, 1], [(9, 9), (4, 4)])
+    archive = entered(archive, [35, 20, 30], [4, 2, 3], solved=[4, 3])
     assert archive.way.tolist() == [[0.1, 0.2], [1, 0], [2, 0], [2, 5]]
     assert archive.way_steps == 30
-    longer = entered(archive, [[4, 4]], [30], [1], solved=[0])
-    assert longer.way is archive.way
-    shorter = entered(archive, [[4, 4]], [29], [1], solved=[0])
-    assert (shorter.way.tolist(), shorter.way_steps) == ([[0.1, 0.2], [1, 0]], 29)
+    longer = entered(archive, [30], [5], solved=[5])
+    assert longer.way_nodes is archive.way_nodes
+    shorter = entered(archive, [29], [5], solved=[5])
+    assert (shorter.way.tolist(), shorter.way_steps) == ([[0.1, 0.2], [1, 0], [4, 4]], 29)
+
+
+def test_a_follower_begins_in_a_cell_of_the_way_as_it_is_now():
+    archive = grown(line((3, 0), (2, 0), (1, 0), (0, 9)), [0, 5], [(2, 0), (7, 7)])  # cells are sorted by coordinates
+    archive = entered(archive, [10, 20, 30, 40], [1, 2, 3, 4], solved=[4])
+    archive = entered(archive, [12, 17], [5, 6]).after_slice()  # the second cell is reached in fewer steps
+    for last_step, begun in ((30, {0: 0, 1: 10, 2: 12, 3: 30}), (29, {0: 0, 1: 10, 2: 12}), (-5, {0: 0})):
+        cells, numbers = archive.choose_on_way(np.random.default_rng(0), 200, last_step)
+        assert dict(zip(numbers.tolist(), archive.steps[cells].tolist(), strict=True)) == begun
+    assert archive.way.tolist() == [[0.1, 0.2], [3, 0], [2, 0], [1, 0], [0, 9]]
 
 
 def test_a_walk_begins_in_any_direction():
@@ -74,11 +83,11 @@ def test_a_walk_begins_in_any_direction():
 
 
 def test_a_slice_forgets_nodes_that_lead_to_no_cell():
-    archive = grown(line((1, 0), (2, 0), (2, 5)), [1, 4], [[7.0, 7], [8, 8]])  # nodes 4 and 5
-    archive = entered(archive, [[8, 8]], [30], [5]).after_slice()
+    archive = grown(line((1, 0), (2, 0), (2, 5)), [1, 4], [(7, 7), (8, 8)])  # nodes 4 and 5
+    archive = entered(archive, [30], [5]).after_slice()
     assert archive.positions.tolist() == [[0.1, 0.2], [1, 0], [7, 7], [8, 8]]
     assert archive.parents.tolist() == [0, 0, 1, 2]
-    assert archive.positions[archive.nodes].tolist() == [[0.1, 0.2], [8, 8]]
+    assert archive.cells.tolist() == archive.positions[archive.nodes].round().tolist() == [[0, 0], [8, 8]]
 
 
 def test_a_search_ends_slices_after_its_last_shorter_way():
@@ -87,7 +96,8 @@ def test_a_search_ends_slices_after_its_last_shorter_way():
         archive = archive.after_slice()
     assert (archive.stalled, archive.is_over) == (0, False)  # no way is known
     for steps in (30, 20):
-        archive = entered(archive, [[1, 0]], [steps], [0], solved=[0]).after_slice()
+        archive, node = grown(archive, [0], [(1, 0)]), len(archive.parents)
+        archive = entered(archive, [steps], [node], solved=[node]).after_slice()
         for number in range(1, PATIENCE):
             archive = archive.after_slice()
             assert (archive.stalled, archive.is_over) == (number, False)
@@ -97,8 +107,8 @@ def test_a_search_ends_slices_after_its_last_shorter_way():
 
 def test_news_of_a_search_are_told_once():
     before = start()
-    begun = entered(line((1, 0)), [[1, 0]], [10], [1])
-    known = entered(begun, [[2, 0]], [20], [1], solved=[0])
+    begun = entered(line((1, 0)), [10], [1])
+    known = entered(begun, [20], [1], solved=[1])
     assert before.news(before) == known.news(known) == []
     assert begun.news(before) == ["the search for a way begins"]
     assert known.news(begun) == ["a way of 20 steps is known after 0 environment steps of search"]

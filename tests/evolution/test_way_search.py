@@ -126,6 +126,23 @@ def test_a_frozen_primitive_searches_until_a_way_is_known():
     assert [(each.slices, each.longest) for each in searches] == [(way_search.SLICES, np.inf), (1, 20)]
 
 
+def test_followers_head_for_points_ahead_on_the_way():
+    """Their first goal is two or three points ahead, their second three to six, as far as the way goes."""
+    found, backend = searched(1.0, 12)
+    number = next(i for i, state in enumerate(found) if state.archive.way_steps)
+    way, begun = found[number].archive.way, found[number].env_steps // 10
+    first, second = (backend.starts[begun + i * WALKERS :][: way_search.FOLLOWERS] for i in (0, 1))
+    passed = [each.steps // 10 for each in first]
+    assert len(set(passed)) > 2
+    for starts, least, most in ((first, 2, 3), (second, 3, 6)):
+        for i, start in zip(passed, starts, strict=True):
+            aims = way[[min(i + ahead, len(way) - 1) for ahead in range(least, most + 1)]]
+            x, y = (aims - (np.zeros(2) if start.state is None else start.state[:2])).T
+            goals = 4 * np.stack([np.cos(np.arctan2(y, x)), np.sin(np.arctan2(y, x))], axis=1)
+            assert np.abs(goals - start.goals[0]).sum(axis=1).min() < 1e-9
+    assert len({start.goals.tobytes() for start in backend.starts[begun:][:WALKERS]}) > WALKERS // 2  # others wander
+
+
 def test_no_walker_leaves_later_than_the_horizon_allows():
     found, backend = searched(1.0, 3, horizon=30)
     assert max(start.steps for start in backend.starts) == 20
@@ -139,7 +156,11 @@ def test_goals_wander_in_practice_and_until_a_way_is_known(estimate, practice):
     algorithm = built(primitive_estimate=estimate, **(schedules if practice else {}))
     state = replace(algorithm.start(3), generation=2)
     way = np.array([[0.0, 0], [3, 0.1], [6, 0], [6, 4]])
-    known = replace(state, archive=replace(state.archive, way=way, way_steps=12), generation=max(2, practice))
+    known = replace(
+        state,
+        archive=replace(state.archive, positions=way, way_nodes=np.arange(4), way_steps=12),
+        generation=max(2, practice),
+    )
     early = replace(known, generation=2) if practice else state
     before, after = (draw_episodes(each, algorithm.hyperparameters, algorithm.table.size) for each in (early, known))
     assert (before.generation.decisions, after.generation.decisions) == ("wander", None)
@@ -159,7 +180,7 @@ def test_goals_wander_in_practice_and_until_a_way_is_known(estimate, practice):
 
 def test_half_of_the_groups_begin_on_the_way():
     state = built().start(3)
-    known = replace(state.archive, way=np.zeros((5, 2)), way_steps=40, starts=np.arange(12.0).reshape(3, 4))
+    known = replace(state.archive, way_nodes=np.zeros(5, np.int64), way_steps=40, starts=np.arange(12.0).reshape(3, 4))
     with_starts, found = "archive_starts", []
     cases = ((with_starts, state.archive, 1), ("archive", known, 1), (with_starts, known, 1), (with_starts, known, 2))
     for explore, archive, generation in cases:

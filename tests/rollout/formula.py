@@ -35,7 +35,8 @@ def evolving(settings=SETTINGS, **values):
 class FormulaBackend(Backend):
     """Pays each member by a formula of its parameters, and remembers what it was asked.
 
-    The episodes in `diverging`, pairs of member and slot, diverge: they are paid a million.
+    The episodes in `diverging`, pairs of member and slot, diverge: they are paid a million. Of every three members, the
+    first does not fall, the others fall in one episode of three and half in another.
     """
 
     num_workers = 3
@@ -64,9 +65,9 @@ class FormulaBackend(Backend):
             returns.append([1e6 if has_diverged[-1] else paid + luck for paid in formula(*policy)])
         totals = [[np.full((k, size), total) for total in (14.0, 63.0)] for size in DIMS]
         moments = tuple(Moments(count=np.full(k, 7), total=one, total_squares=other) for one, other in totals)
-        steps = 100 + np.array(task.slots) % episodes
+        steps, members = 100 + np.array(task.slots) % episodes, task.member + np.array(task.slots) // episodes
         return EpisodeResults(
-            outcomes=outcomes(returns=np.array(returns), has_diverged=has_diverged, steps=steps),
+            outcomes=outcomes(np.array(returns), has_diverged=has_diverged, steps=steps, fall=members * steps % 3 / 2),
             moments=moments if task.records_statistics else None,
         )
 

@@ -134,7 +134,7 @@ def test_the_map_of_a_search_shows_cells_and_the_way(tmp_path):
     last = folder.checkpoint_path("last")
     with np.load(last) as file:
         arrays = dict(file)
-    found = {"archive/positions": [[3.0, 1]], "archive/nodes": [0], "archive/way": [[0.0, 0], [3, 1], [6, 0]]}
+    found = {"archive/positions": [[3.0, 1], [0, 0], [6, 0]], "archive/nodes": [0], "archive/way_nodes": [1, 0, 2]}
     np.savez(last, **arrays | found)
     shutil.copy(folder.checkpoint_path("0"), folder.checkpoint_path("best"))
     paths, search = play_maps(folder.path, 2)  # with what was found by the end of the run

@@ -23,14 +23,12 @@ class Archive:
     """The places that a search for a way has reached, how to get back to each, and the best way so far.
 
     A place is a cell of the task's own coordinates. Ways form a tree of nodes, the positions at the decisions.
-    C cells, N nodes, W points of the way, M walkers, K coordinates of a cell, S of a physics state, X of a position.
+    C cells, N nodes, W nodes of the way, M walkers, K coordinates of a cell, S of a physics state, X of a position.
 
     Source: Ecoffet et al. 2021 (Go-Explore).
     Deviation: nothing but the time to get there makes a cell better.
     """
 
-    cells: IntArray
-    """Cells [C, K]; that of the reset among them."""
     states: F64Array
     """Physics state in each cell [C, S], ignored for the reset; empty [0, S] once the search is over."""
     steps: IntArray
@@ -38,13 +36,15 @@ class Archive:
     chosen: IntArray
     """Number of walkers that began in each cell [C]."""
     nodes: IntArray
-    """Node of each cell [C]."""
+    """Node of each cell [C]; that of the reset among them."""
     parents: IntArray
     """Node before each node [N]; node 0 is the reset, and its own parent."""
     positions: F64Array
     """Position of the robot, and of a block that the way leads, at each node [N, X] in metres."""
-    way: F64Array
-    """Positions [W, X] at the decisions from the reset to the first success; empty until a way is known."""
+    places: IntArray
+    """Cell in which each node lies [N, K]."""
+    way_nodes: IntArray
+    """Nodes from the reset to the shortest success [W]; empty until a way is known."""
     starts: F64Array
     """Physics states [C, S] of cells on the way, in which episodes of training may begin; empty without a way."""
     way_steps: int = 0
@@ -59,14 +59,14 @@ class Archive:
         """Return the archive of a reset, of which the cell [1, K] and the position [1, X] are given."""
         zero = np.zeros(1, dtype=np.int64)
         return cls(
-            cells=cell,
             states=np.zeros((1, state_size)),
             steps=zero,
             chosen=zero,
             nodes=zero,
             parents=zero,
             positions=position,
-            way=np.zeros((0, position.shape[1])),
+            places=cell,
+            way_nodes=zero[:0],
             starts=np.zeros((0, state_size)),
         )
 
@@ -74,6 +74,16 @@ class Archive:
     def is_over(self) -> bool:
         """Whether the search is over, and the states are gone."""
         return not len(self.states)
+
+    @property
+    def cells(self) -> IntArray:
+        """The cells [C, K]."""
+        return self.places[self.nodes]
+
+    @property
+    def way(self) -> F64Array:
+        """Positions [W, X] at the decisions from the reset to the shortest success."""
+        return self.positions[self.way_nodes]
 
     def choose(self, rng: np.random.Generator, number: int, last_step: int) -> IntArray:
         """Return the cells [number] of walkers, among those reached by step `last_step`, with repetition.
@@ -83,27 +93,33 @@ class Archive:
         weights = np.where(self.steps <= max(last_step, 0), 1 / np.sqrt(1 + self.chosen), 0.0)
         return rng.choice(len(weights), number, p=weights / weights.sum())
 
-    def entered(
-        self, cells: IntArray, states: F64Array, steps: IntArray, nodes: IntArray, *, is_success: BoolArray
-    ) -> Archive:
+    def choose_on_way(self, rng: np.random.Generator, number: int, last_step: int) -> tuple[IntArray, IntArray]:
+        """Return cells [number] through which the way leads, as `choose`, and their numbers [number] on it."""
+        cell = np.unique(np.concatenate([self.cells, self.places[self.way_nodes]]), axis=0, return_inverse=True)[1]
+        passed = cell.reshape(-1)[len(self.nodes) : -1]  # cells are unique and in order
+        early = np.flatnonzero(self.steps[passed] <= max(last_step, 0))
+        numbers = early[rng.integers(len(early), size=number)]
+        return passed[numbers], numbers
+
+    def entered(self, states: F64Array, steps: IntArray, nodes: IntArray, *, is_success: BoolArray) -> Archive:
         """Return the archive with places where walkers are: new cells, cells reached in fewer steps, and the way.
 
-        Of each of M walkers, the `cells` [M, K], physics `states` [M, S], control `steps` since the reset, `nodes`, and
-        whether the task is solved there are given.
+        Of each of M walkers, the physics `states` [M, S], control `steps` since the reset, `nodes`, and whether the
+        task is solved there are given.
         """
-        found, cell = np.unique(np.concatenate([self.cells, cells]), axis=0, return_inverse=True)
+        all_nodes = np.concatenate([self.nodes, nodes])
+        found, cell = np.unique(self.places[all_nodes], axis=0, return_inverse=True)
         cell, all_steps = cell.reshape(-1), np.concatenate([self.steps, steps])
         order = np.lexsort((all_steps, cell))  # stable: of equal steps the earlier one stays
         best = order[np.searchsorted(cell[order], np.arange(len(found)))]
         chosen = np.zeros(len(found), dtype=np.int64)
-        chosen[cell[: len(self.cells)]] = self.chosen
+        chosen[cell[: len(self.nodes)]] = self.chosen
         grown = replace(
             self,
-            cells=found,
             states=np.concatenate([self.states, states])[best],
             steps=all_steps[best],
             chosen=chosen,
-            nodes=np.concatenate([self.nodes, nodes])[best],
+            nodes=all_nodes[best],
         )
         shortest = int(np.where(is_success, steps, np.iinfo(np.int64).max).argmin()) if is_success.any() else None
         if shortest is None or 0 < self.way_steps <= steps[shortest]:
@@ -112,20 +128,21 @@ class Archive:
         while way[-1]:
             way.append(int(self.parents[way[-1]]))
         starts = grown.states[np.isin(grown.nodes, way[1:-1])]  # success and reset are left out
-        return replace(grown, way=self.positions[way[::-1]], way_steps=int(steps[shortest]), starts=starts, stalled=-1)
+        return replace(grown, way_nodes=np.array(way[::-1]), way_steps=int(steps[shortest]), starts=starts, stalled=-1)
 
     def after_slice(self, longest: float = np.inf) -> Archive:
         """Return the archive after a slice of the search: without nodes that lead nowhere, or without states."""
         is_used = np.zeros(len(self.parents), dtype=np.bool_)
-        is_used[0], ends = True, self.nodes
+        is_used[0], ends = True, np.concatenate([self.nodes, self.way_nodes])
         while len(ends := ends[~is_used[ends]]):
             is_used[ends] = True
             ends = self.parents[ends]
         number = np.cumsum(is_used) - 1
         # `entered` sets -1, so that the slice that has shortened the way does not count.
         stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
-        used = {"nodes": number[self.nodes], "parents": parents, "positions": self.positions[is_used]}
-        after = replace(self, **used, stalled=stalled)
+        used = {name: getattr(self, name)[is_used] for name in ("positions", "places")}
+        used |= {name: number[getattr(self, name)] for name in ("nodes", "way_nodes")}
+        after = replace(self, **used, parents=parents, stalled=stalled)
         return replace(after, states=self.states[:0]) if stalled >= PATIENCE and self.way_steps <= longest else after
 
     def news(self, before: Archive) -> list[str]:
@@ -183,7 +200,7 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
     """Return the state that `to_arrays` converted."""
     running = archive = None
-    if "archive/cells" in arrays:
+    if "archive/nodes" in arrays:
         found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
         archive = Archive(**{field: array if array.ndim else array.item() for field, array in found.items()})
     if "running/states" in arrays:

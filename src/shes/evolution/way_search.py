@@ -1,7 +1,8 @@
 """The search for a way to the target by going back: the mean primitive walks from places where it has been.
 
 It asks for a simulator that can be put back into a state, and for nothing else: neither reward nor map nor target
-direct it. Everything is decided here, in the parent process; workers run episodes of one decision.
+direct it. Once a way is known, half of the walkers shorten it. Everything is decided here, in the parent process;
+workers run episodes of one decision.
 
 Source: Ecoffet et al. 2021 (Go-Explore); `docs/learning.md`.
 """
@@ -22,6 +23,10 @@ from shes.streams import Purpose, stream
 from shes.types import BoolArray, F64Array, IntArray
 
 WALKERS = 64
+FOLLOWERS = 32
+"""Walkers that begin on the way, once one is known, and take short cuts."""
+MAX_PACE = 3.0
+"""Most decisions' worth of the way that a follower tries to cover with one decision."""
 SLICE_STEPS = 32_000
 """Environment steps of a slice of the search, at least."""
 SLICES = 10
@@ -72,12 +77,19 @@ def _walk(
 ) -> Archive:
     """Return the archive after a few decisions of walkers that begin in its cells."""
     decisions = max(1, min(_DECISIONS, search.horizon // search.interval))
-    cells = archive.choose(rng, WALKERS, search.horizon - decisions * search.interval)
+    last_step, aims = search.horizon - decisions * search.interval, np.zeros((decisions, 0, 2))
+    cells = archive.choose(rng, WALKERS, last_step)
+    if archive.way_steps:
+        cells[:FOLLOWERS], passed = archive.choose_on_way(rng, FOLLOWERS, last_step)
+        ahead = np.ceil(np.outer(np.arange(1, decisions + 1), rng.uniform(1, MAX_PACE, FOLLOWERS)))
+        aims = archive.way[np.minimum(passed + ahead.astype(np.int64), len(archive.way) - 1), :2]
     archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
     steps = archive.steps[cells].tolist()
     starts = [Snapshot(state=archive.states[i] if n else None, steps=n) for i, n in zip(cells, steps, strict=True)]
     walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
-    for angle in wander(rng, decisions, WALKERS):
+    for angle, aim in zip(wander(rng, decisions, WALKERS), aims, strict=True):
+        x, y = (aim - archive.positions[nodes[: len(aim)], :2]).T
+        angle[: len(aim)] = np.arctan2(y, x)
         goals = search.goal_distance * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         seeds = rng.integers(0, 2**63, WALKERS).tolist()
         tasks = [
@@ -96,14 +108,14 @@ def _walk(
         results = roll_out_tasks(tasks, generation, backend)
         archive = replace(archive, env_steps=archive.env_steps + int(results.steps.sum()))
         lives = np.array([(walker, 0) in results.snapshots for walker in walkers.tolist()])
-        walkers, nodes = walkers[lives], nodes[lives]
+        walkers = walkers[lives]
         if not len(walkers):
             break
         starts = [results.snapshots[walker, 0][0] for walker in walkers.tolist()]
         states, steps = np.stack([np.asarray(each.state) for each in starts]), np.array([each.steps for each in starts])
         places, positions, up, is_success = search.decode(states)
-        parents, positions = np.concatenate([archive.parents, nodes]), np.concatenate([archive.positions, positions])
-        nodes = len(archive.parents) + np.arange(len(walkers))
-        archive = replace(archive, parents=parents, positions=positions)
-        archive = archive.entered(places[up], states[up], steps[up], nodes[up], is_success=is_success[up])
+        new = {"parents": nodes[walkers], "positions": positions, "places": places}
+        nodes[walkers] = len(archive.parents) + np.arange(len(walkers))
+        archive = replace(archive, **{name: np.concatenate([getattr(archive, name), new[name]]) for name in new})
+        archive = archive.entered(states[up], steps[up], nodes[walkers][up], is_success=is_success[up])
     return archive

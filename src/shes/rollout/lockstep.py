@@ -220,7 +220,7 @@ class Rollout:
         if self.design.has_intrinsic_reward:
             # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
             self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
-            self._tilt = self.xp.fmax(self._tilt, self.xp.where(batch.diverged, 0, batch.tilt))
+            self._tilt = self.xp.maximum(self._tilt, self.xp.where(batch.diverged, 0, batch.tilt))
         paid = perf_counter()
         ended = self._is_running & (to_host(batch.terminated | batch.diverged) | (self._steps >= self.horizon))
         physics_s, policy_s = batch.physics_s - physics_s, acted - observed + paid - stepped

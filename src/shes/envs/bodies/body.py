@@ -15,6 +15,9 @@ from shes.errors import ConfigError
 from shes.settings import Settings
 from shes.types import BoolArray, F64Array, IntArray
 
+MIN_COS_TILT = 0.5
+"""Cosine of a tilt of 60 degrees, beyond which a robot lies."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SymmetryGroup:
@@ -205,6 +208,11 @@ class Body(ABC):
     @abstractmethod
     def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
         """Return whether robots at `qpos` [N, num_qpos], on ground of height `ground_m`, have fallen over [N]."""
+
+    @property
+    def can_tilt(self) -> bool:
+        """Whether its class defines `cos_tilt`."""
+        return type(self).cos_tilt is not Body.cos_tilt
 
     def cos_tilt(self, qpos: F64Array) -> F64Array:
         """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos]."""

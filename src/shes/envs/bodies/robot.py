@@ -14,7 +14,7 @@ from typing import Annotated
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, add_motor
+from shes.envs.bodies.body import MIN_COS_TILT, Body, add_motor
 from shes.envs.bodies.free_body import FreeBody, free_elements
 from shes.envs.bodies.robot_file import RobotFile, compiled, read_robot
 from shes.envs.worlds import CELL_SIZE_M
@@ -25,9 +25,6 @@ from shes.types import BoolArray, F64Array
 ANT_EXTENT_M = 1.873
 """Largest extent of the ant's legs along x or y: the size that worlds, distances and rewards are made for."""
 ANT_MASS_KG = 0.911
-MAX_TILT = 60.0
-"""Degrees beyond which a robot has fallen."""
-_MIN_COS_TILT = float(np.cos(np.deg2rad(MAX_TILT)))
 _MIN_HEIGHT = 0.5  # of the home pose, below which it has fallen
 _FREE_SERVO = 0.5  # rad or m of a position servo without any limit
 _MAX_JOINTS, _MIN_M, _MAX_M, _MAX_KG = 200, 0.01, 100.0, 1e5
@@ -89,7 +86,7 @@ class Robot(FreeBody):
         size = f"{extent:.3g} m large and weighs {self.mass_kg:.3g} kg"
         sizes = f"{_MIN_M:g} to {_MAX_M:g} m and up to {_MAX_KG:g} kg"
         has_size = _MIN_M < extent < _MAX_M and 0 < self.mass_kg < _MAX_KG and np.isfinite(home).all()
-        is_upright = self.cos_tilt(home) >= _MIN_COS_TILT
+        is_upright = self.cos_tilt(home) >= MIN_COS_TILT
         problems = {
             "has ball joints, which a policy here cannot observe. Use hinges.": model.nq != model.nv + 1,
             f"has {joints} joints besides its root, not 1 to {_MAX_JOINTS}.": not 0 < joints <= _MAX_JOINTS,
@@ -97,7 +94,7 @@ class Robot(FreeBody):
             f"has a physics step of {own_step:g} s, but control_step is {step:g} s. Set --control-step to 1 to "
             f"{_MAX_STEPS} times it, or correct the file.": not step / _MAX_STEPS <= own_step <= step,
             f"is {size}, not {sizes}. Check its units: metres and kilograms.": not has_size,
-            f"lies in its home pose: its root tilts by more than {MAX_TILT:g} degrees. "
+            "lies in its home pose: its root tilts by more than 60 degrees. "
             "Choose another pose with --robot-keyframe.": not is_upright,
         }
         for problem in (text for text, is_found in problems.items() if is_found):
@@ -154,7 +151,7 @@ class Robot(FreeBody):
     def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
         """Return whether the root tilts by more than 60 degrees, or is lower than half its height at home [N]."""
         is_low = qpos[..., 2] - ground_m < _MIN_HEIGHT * self._height
-        return is_low | (self.cos_tilt(qpos) < _MIN_COS_TILT)
+        return is_low | (self.cos_tilt(qpos) < MIN_COS_TILT)
 
     def describe(self) -> dict[str, str]:
         """Return what was understood of the file, in words."""
@@ -172,7 +169,7 @@ class Robot(FreeBody):
                 for name, offset, factor in zip(self.controls, *control_map, strict=True)
             ),
             "time": f"physics step {self.timestep_s:g} s, control step {step:g} s",
-            "fallen": f"tilt above {MAX_TILT:g} degrees, or lower than {_MIN_HEIGHT * self._height:.3g} m",
+            "fallen": f"tilt above 60 degrees, or lower than {_MIN_HEIGHT * self._height:.3g} m",
             "symmetry": f"{turns}, {mirror}",
             "size": f"{self.scale:g} of the ant's: cells of {CELL_SIZE_M * self.scale:g} m",
         }

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.envs.bodies.body import ObservationElement, elements
+from shes.envs.bodies.body import MIN_COS_TILT, ObservationElement, elements
 from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker
 from shes.envs.tasks.task import TIME_ELEMENTS, TIME_SCALE, Coordinates, FallOptions, Task, TaskDescription
@@ -27,7 +27,6 @@ BYPASSED_DISTANCE_M = CELL_SIZE_M
 """or nearer than this if the next one is nearer still: the path may keep to the other side of a corridor."""
 CELL_M, BLOCK_CELL_M = 1.0, 2.0
 """Steps of a place in the robot's x and y, and in its height and the block's coordinates."""
-_MIN_COS_TILT = 0.5  # of a robot that stands: a tilt of 60 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +92,8 @@ class TargetTask(Task):
         block = states[:, nq : nq + len(self.block_axes)] / self.scale
         steps = (position[:, :2] / CELL_M, position[:, 2:] / BLOCK_CELL_M, block / BLOCK_CELL_M)
         is_upright = ~self.body.fallen(states[:, :nq], self.ground_m * self.scale)
-        if self.body.quaternion is not None:
-            is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
+        if self.body.can_tilt:
+            is_upright &= self.body.cos_tilt(states[:, :nq]) > MIN_COS_TILT
         return Places(
             cells=np.round(np.concatenate(steps, axis=1)).astype(np.int64),
             positions=np.concatenate([position, block], axis=1) if self.leads_block else position,

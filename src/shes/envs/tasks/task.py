@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import mujoco
 import numpy as np
 
-from shes.envs.bodies.body import Body, ObservationElement, elements
+from shes.envs.bodies.body import MIN_COS_TILT, Body, ObservationElement, elements
 from shes.envs.episode_batch import EpisodeBatch, Reader
 from shes.envs.worlds import ARENA, INTEGRATORS, SCALE, Grid, add_grid, empty_world
 from shes.errors import ConfigError, ShapeError, UnknownNameError
@@ -25,7 +25,6 @@ from shes.sim.simulator import CpuSimulator, Simulator
 from shes.streams import EpisodePurpose, stream
 from shes.types import BoolArray, F64Array, FloatArray, IntArray, to_host
 
-_COS_TILT_OF_A_FALL = 0.5  # 60 degrees
 SPECS = {"shes": "euler", "hiro": "rk4"}
 """Specifications and their integrators."""
 FURTHEST_M = 1000.0
@@ -164,7 +163,6 @@ class Task(EpisodeBatch):
         self.diverged, self.truncated = self.sim.diverged, self.xp.zeros(num_episodes, dtype=np.bool_)
         self._heading: F64Array | None = None  # computed when it is first read after a step
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
-        self._can_tilt = type(body).cos_tilt is not Body.cos_tilt
         max_tilt: float | None = getattr(options, "max_tilt", None)
         if max_tilt is not None:
             body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
@@ -252,9 +250,9 @@ class Task(EpisodeBatch):
     @property
     def tilt(self) -> F64Array:
         """Tilt as a fraction of a fall; see `EpisodeBatch.tilt`."""
-        if not self._can_tilt:
+        if not self.body.can_tilt:
             return super().tilt
-        return self.xp.minimum((1 - self.body.cos_tilt(self.sim.qpos)) / (1 - _COS_TILT_OF_A_FALL), 1)
+        return self.xp.minimum((1 - self.body.cos_tilt(self.sim.qpos)) / (1 - MIN_COS_TILT), 1)
 
     def is_down(self) -> BoolArray:
         """Return whether robots lie [N], by the rule of the body or by `max_tilt`, even if that ends no episode."""
