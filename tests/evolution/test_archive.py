@@ -68,9 +68,9 @@ def test_the_way_is_the_shortest_chain_of_nodes_to_a_success():
 
 
 def test_a_follower_begins_in_a_cell_of_the_way_as_it_is_now():
-    archive = grown(line((3, 0), (2, 0), (1, 0), (0, 9)), [0, 5], [(2, 0), (7, 7)])  # cells are sorted by coordinates
+    archive = grown(line((3, 0), (2, 0), (1, 0), (0, 9)), [0, 5], [(2, 0), (0, 9)])  # cells are sorted by coordinates
     archive = entered(archive, [10, 20, 30, 40], [1, 2, 3, 4], solved=[4])
-    archive = entered(archive, [12, 17], [5, 6]).after_slice()  # the second cell is reached in fewer steps
+    archive = entered(archive, [12, 17], [5, 6]).after_slice()  # its second and last cell are reached in fewer steps
     for last_step, begun in ((30, {0: 0, 1: 10, 2: 12, 3: 30}), (29, {0: 0, 1: 10, 2: 12}), (-5, {0: 0})):
         cells, numbers = archive.choose_on_way(np.random.default_rng(0), 200, last_step)
         assert dict(zip(numbers.tolist(), archive.steps[cells].tolist(), strict=True)) == begun
