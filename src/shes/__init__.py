@@ -15,7 +15,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from shes.envs.gymnasium_ids import register_known
-from shes.mujoco_import import AnyOpenGL
+from shes.import_hook import ImportHook, with_any_opengl
 
 if TYPE_CHECKING:
     __version__: str
@@ -56,7 +56,7 @@ _HOMES = {
 }
 """Names by module. They are imported on first access: worker processes import this package, too, but need none."""
 
-sys.meta_path.insert(0, AnyOpenGL())
+sys.meta_path.insert(0, ImportHook("mujoco", with_any_opengl))
 register_known()  # entry points are strings: MuJoCo is imported when the first environment is made
 
 

@@ -6,13 +6,12 @@ imported yet, when it is: its import takes longer than that of the rest.
 
 from __future__ import annotations
 
-import importlib.util
 import sys
-from collections.abc import Collection, Sequence
-from importlib.machinery import ModuleSpec
+from collections.abc import Callable, Collection
 from types import ModuleType
 
 from shes.errors import UnknownNameError
+from shes.import_hook import ImportHook
 
 BUILTIN_SPECS = ("shes", "hiro")
 """Specifications of every environment here: equal to `Task.specs`, but known without importing the class."""
@@ -73,29 +72,12 @@ def register_ids(name: str, specs: Collection[str]) -> None:
 def register_known() -> None:
     """Register every environment that comes with SHES, now or as soon as Gymnasium is imported."""
     if "gymnasium" not in sys.modules:
-        sys.meta_path.insert(0, _AfterGymnasium())
+        sys.meta_path.insert(0, ImportHook("gymnasium", _execute_and_register))
         return
     for name, specs in SPECS_OF.items():
         register_ids(name, specs)
 
 
-class _AfterGymnasium:
-    """An import hook that calls `register_known` after the import of Gymnasium."""
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """Return the spec of Gymnasium, with a loader that registers at the end; None for other modules."""
-        if fullname != "gymnasium":
-            return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(fullname)
-        if spec is not None and spec.loader is not None:
-            load = spec.loader.exec_module
-
-            def load_and_register(module: ModuleType) -> None:
-                load(module)
-                register_known()
-
-            spec.loader.exec_module = load_and_register  # type: ignore[method-assign] - the spec has a loader of its own
-        return spec
+def _execute_and_register(execute: Callable[[ModuleType], None], module: ModuleType) -> None:
+    execute(module)
+    register_known()
