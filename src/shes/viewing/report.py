@@ -77,7 +77,7 @@ def report(
     is_one = len(read) == 1 and not shipped_name(read[0].folder.path)
     target = Path(out) if out is not None else (read[0].folder.path if is_one else Path()) / "report.html"
     check_target(target, [".html"])
-    plotly = _read_plotly()
+    plotly = import_extra("plotly.offline", "a report needs plotly", "Install it: pip install 'shes[report]'.")
     groups = group_runs(read)
     shown = groups[:_MOST_SHOWN]
     total = len(read) + len(shown) * (1 + video)
@@ -101,7 +101,8 @@ def report(
     title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(envs)}"
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
     template = Template((files("shes.viewing") / "report_page.html").read_text(encoding="utf-8"))
-    whole = {"title": escape(f"Report: {title}"), "subtitle": made, "body": "\n".join(body), "plotly": plotly}
+    program = plotly.get_plotlyjs().replace("</script", "<\\/script")
+    whole = {"title": escape(f"Report: {title}"), "subtitle": made, "body": "\n".join(body), "plotly": program}
     text = template.substitute(whole)
     write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
     return target
@@ -252,12 +253,6 @@ def _origins(runs: Sequence[RunData]) -> str:
         text = escape(json.dumps(record, indent=2, default=str))
         parts.append(f"<details><summary>{escape(run.name)}</summary>\n<pre>{text}</pre></details>")
     return _section("Hardware, versions and commands", *parts)
-
-
-def _read_plotly() -> str:
-    """Return the program plotly.js; raise MissingExtraError if plotly is not installed."""
-    plotly = import_extra("plotly.offline", "a report needs plotly", "Install it: pip install 'shes[report]'.")
-    return plotly.get_plotlyjs().replace("</script", "<\\/script")
 
 
 def _section(title: str, *parts: str) -> str:
