@@ -44,10 +44,8 @@ def goal_design(problem: Problem) -> GoalDesign:
     task, settings = problem.sample(), problem.settings
     hierarchy, clock = settings.hierarchy, _clock(settings, task)
     task.check_position()
-    encoding, view = (
-        make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values),
-        _view(settings, task, "primitive_view"),
-    )
+    encoding = make(GOAL_ENCODINGS, hierarchy.goal_encoding, settings.values)
+    view = _view(settings, task, "primitive_view")
     inputs = encoding.size + (clock.size if clock else 0) + view.size(task.observation_size)
     design = GoalDesign(
         networks={"primitive": MLP(inputs, _primitive_layers(settings), task.action_size)},
