@@ -31,7 +31,6 @@ class UnknownNameError(ShesError, LookupError):
         super().__init__(kind, name, nearest_first(name, known), fix)  # by which the error is pickled
 
     def __str__(self) -> str:
-        """Return the message."""
         kind, name, names, fix = self.args
         close = difflib.get_close_matches(name, names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""

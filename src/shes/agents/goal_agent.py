@@ -235,5 +235,4 @@ def _push_outward(vector: F64Array) -> F64Array:
 
 
 def _length(vector: F64Array) -> F64Array:
-    """Return the Euclidean length [N] of `vector` [N, 2]."""
     return np.sqrt(vector[:, 0] * vector[:, 0] + vector[:, 1] * vector[:, 1])

@@ -119,8 +119,6 @@ class MpiBackend(SupervisingBackend):
 
 
 class _Rank(RemoteWorker):
-    """A rank as the main process sees it."""
-
     def __init__(self, comm: Any, rank: int) -> None:
         super().__init__(f"rank {rank}")
         self.inbox: list[tuple[Any, ...]] = []
@@ -140,8 +138,6 @@ class _Rank(RemoteWorker):
 
 
 class _Parent(ParentConnection):
-    """The connection of a rank to the main process."""
-
     def __init__(self) -> None:
         from mpi4py import MPI
 

@@ -107,8 +107,6 @@ class RayBackend(SupervisingBackend):
 
 
 class _RayWorker(RemoteWorker):
-    """An actor as its parent sees it."""
-
     def __init__(self, backend: RayBackend, ray: ModuleType, actor: Any) -> None:
         super().__init__("that has not started", is_started=False)
         self._backend, self._ray, self._actor = backend, ray, actor

@@ -180,7 +180,6 @@ class SupervisingBackend(Backend):
             self.look_around()
 
     def _handle(self, worker: RemoteWorker, kind: str, *content: Any) -> None:
-        """Handle a request; see `shes.backends.serving`."""
         worker.is_ready = True
         if kind == "failed":
             raise self._failure(worker, *content)

@@ -94,5 +94,4 @@ OPTIMIZERS: Registry[type[Optimizer]] = Registry(
 
 
 def _mix(old: F32Array, new: F32Array, share: float) -> F32Array:
-    """Return `share * old + (1 - share) * new` [D] in float32."""
     return (np.float32(share) * old + np.float32(1 - share) * new).astype(np.float32, copy=False)

@@ -110,7 +110,6 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]], EzPickle):
         return [None if each is None else int(each) for each in seeds]
 
     def _mask(self, options: dict[str, Any] | None) -> BoolArray:
-        """Return which environments to reset [N]."""
         mask = None if options is None else options.get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)

@@ -81,8 +81,6 @@ NumberedTask = tuple[int, EpisodeTask]
 
 @dataclass(kw_only=True)
 class _Lane:
-    """A lane that runs a task."""
-
     number: int
     task: EpisodeTask
     running: set[int]

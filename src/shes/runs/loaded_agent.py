@@ -30,7 +30,6 @@ class Agent:
         self._build(run.config, run.algorithm, run.algorithm.parameters(run.state), num_envs)
 
     def __repr__(self) -> str:
-        """Return the environment, the levels with their numbers of parameters, and the number of environments."""
         levels = ", ".join(f"{name} of {len(level.theta)} parameters" for name, level in self.levels.items())
         return f"<Agent of {self.config.run.env}: {levels}; num_envs {self.num_envs}>"
 
