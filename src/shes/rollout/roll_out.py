@@ -45,8 +45,6 @@ def divide(tasks: Sequence[EpisodeTask], num_workers: int) -> Sequence[EpisodeTa
         return -(-len(tasks) * count // num_workers) * (-(-size // count) + _LANE_COST * size)
 
     count = min(range(1, size + 1), key=longest_share, default=1)
-    if count == 1:
-        return tasks
     borders = ((task, [i * len(task.slots) // count for i in range(count + 1)]) for task in tasks)
     return [task.part(*cut) for task, cuts in borders for cut in pairwise(cuts) if cut[0] < cut[1]]
 
