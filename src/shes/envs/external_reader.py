@@ -105,7 +105,6 @@ class ExternalReader(Reader):
 
 
 def _bounds(space: Any) -> F64Array:
-    """Return the lower and upper bounds of `space`, flat [2, A]."""
     return np.array([space.low.ravel(), space.high.ravel()], np.float64)
 
 

@@ -67,7 +67,6 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
 
 
 def _simulator(config: TrainConfig) -> SimulatorFactory:
-    """Return the function that creates simulators on the device of `config`."""
     options = {name: config.values[name] for name in ("device", "nconmax", "njmax", "deterministic")}
     return CpuSimulator if config.workers.device == "cpu" else partial(WarpSimulator, **options)
 

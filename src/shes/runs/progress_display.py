@@ -119,7 +119,6 @@ class ProgressDisplay:
             self._console.print_line(Text(event, style="yellow"))
 
     def _time_left(self) -> str:
-        """Return the time left, estimated from the last generations, as text."""
         (begin, before), (end, share) = self._shares[0], self._shares[-1]
         if share <= before:
             return "0 s" if share == 1 else "-"

@@ -93,7 +93,6 @@ def _axis(letter: str, place: int) -> str:
 
 
 def _curve_layout(panels: Sequence[Panel], abscissae: Sequence[str]) -> dict[str, Any]:
-    """Return the layout of `panels`, whose traces are over `abscissae`."""
     axes = [_axis("xaxis", place) for place in range(1, len(panels) + 1)]
     columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
