@@ -103,8 +103,7 @@ def open_window(batch: EpisodeBatch) -> Window:
     """
     import glfw
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW warns about what the error below reports
+    with warnings.catch_warnings(action="ignore"):  # GLFW warns about what the error below reports
         has_screen = bool(glfw.init())
     if not has_screen:
         where = "" if sys.platform == "darwin" else " (DISPLAY and WAYLAND_DISPLAY name none)"

@@ -80,9 +80,8 @@ class WarpDevice:
             )
         self.xp = _load_cupy(_driver(warp))
         self.xp.cuda.Device(self.warp_device.ordinal).use()
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
             # CuPy 14.2 recommends Stream.from_external, which older versions do not have.
-            warnings.simplefilter("ignore", DeprecationWarning)
             stream = self.warp_device.stream.cuda_stream
             self._stream = self.xp.cuda.ExternalStream(stream, self.warp_device.ordinal)
         self._stream.use()
