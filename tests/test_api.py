@@ -62,6 +62,7 @@ def test_train_resume_evaluate_and_load_go_together(tiny_run, tmp_path):
     assert runs.differences(tiny_run, resumed.path) == []
     one, other = (shes.evaluate(path, episodes=3, num_workers=1) for path in (tiny_run, str(resumed.path)))
     assert one.summary() == other.summary()
+    assert shes.plot(resumed, tmp_path / "curves.png").is_file()  # a run stands for its folder
 
 
 class Listener:
@@ -121,14 +122,6 @@ def test_a_listener_ends_the_run_well(tmp_path, run, listener):
     assert runs.differences(run.path, stopped.path) == []
     assert "a listener ends the run" in runs.log_lines(stopped.path)
     assert shes.resume(stopped, generations=3).generation == 3
-
-
-def test_a_run_has_its_tables_and_stands_for_its_folder(run, tmp_path):
-    assert run.progress["generation"].tolist() == [1, 2]
-    assert run.progress["controller_return_mean"].shape == run.progress["env_steps"].shape == (2,)
-    assert shes.evaluate(run, episodes=2, num_workers=1).scores.shape == (2,)
-    assert shes.load(run).num_envs == 1
-    assert shes.plot(run, tmp_path / "curves.png").is_file()
 
 
 def test_progress_is_shown_in_a_terminal_or_on_request(tmp_path, capsys, monkeypatch):

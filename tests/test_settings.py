@@ -85,14 +85,6 @@ def test_a_field_of_an_unsupported_type_is_refused(kind):
         setting_fields(cls)
 
 
-def test_an_unknown_name_is_refused_until_it_is_added(monkeypatch):
-    with pytest.raises(UnknownNameError):
-        EveryKind(name="far")
-    monkeypatch.setitem(NAMES, "far", 2)
-    assert EveryKind(name="far").name == "far"
-    assert setting_fields(EveryKind)["name"].choices == ("near", "far")
-
-
 def test_values_of_numpy_become_those_of_python():
     given = {
         "whole": 7.0, "positive": np.float32(0.5), "switch": np.False_, "layers": [np.int64(4)],

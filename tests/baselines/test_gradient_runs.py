@@ -25,16 +25,10 @@ from tests.e2e import runs
 from tests.messages import raises
 from tests.runs.test_export import OnnxAgent, episode, run_exported
 
+UNUSED = ("population_size", "evaluation_horizon", "noise_table_size")
 TINY = {
-    "preset": "smoke",
-    "seed": 5,
+    **{name: value for name, value in runs.TINY.items() if name not in UNUSED},
     "hidden": (6,),
-    "horizon": 20,
-    "generations": 4,
-    "evaluation_interval": 2,
-    "evaluation_episodes": 3,
-    "keep_checkpoints": 2,
-    "backend": "serial",
     "warmup_steps": 60,
     "generation_steps": 60,
     "batch_size": 5,

@@ -56,9 +56,7 @@ def test_list_shows_runs_and_shipped_agents(shes, tiny_run, tmp_path, monkeypatc
 
 def change_run(path, **changes):
     """Change settings of the run in the record of a run."""
-    record = json.loads((path / "config.json").read_text())
-    record["config"]["run"] |= changes
-    (path / "config.json").write_text(json.dumps(record))
+    runs.change_json(path / "config.json", lambda record: record["config"]["run"].update(changes))
 
 
 def claim_memory(path):

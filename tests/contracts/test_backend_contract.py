@@ -107,14 +107,6 @@ def test_results_come_in_the_order_of_the_tasks(backend, count):
         assert list(backend.map([("add", i) for i in range(count)])) == [100 + i for i in range(count)]
 
 
-def test_tasks_refer_to_the_last_state_broadcast(backend):
-    assert list(backend.map([("add", 1)] * 5)) == [101] * 5
-    backend.broadcast(200)
-    backend.broadcast(300)
-    for number in (1, 2):
-        assert list(backend.map([("add", number)] * 5)) == [300 + number] * 5
-
-
 def test_linear_algebra_has_one_thread(backend):
     assert list(backend.map([("threads", 0)] * 4)) == [1] * 4
 

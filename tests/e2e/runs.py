@@ -1,6 +1,7 @@
 """Runs for tests: tiny ones here, others in processes of their own that can be killed; and what their numbers are."""
 
 import csv
+import json
 import os
 import re
 import signal
@@ -80,6 +81,13 @@ def flags(**settings):
         words.append("--" + name.replace("_", "-"))
         words += [str(item) for item in value] if isinstance(value, tuple) else [str(value)]
     return words
+
+
+def change_json(file, change):
+    """Let the function `change` change what a JSON file holds."""
+    held = json.loads(file.read_text())
+    change(held)
+    file.write_text(json.dumps(held))
 
 
 def state(path, checkpoint="last"):

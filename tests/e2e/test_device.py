@@ -1,6 +1,5 @@
 """Runs on mujoco-warp, on the CPU: by the command line, in turns with MuJoCo in C, and when something is too small."""
 
-import importlib.util
 import json
 import shutil
 
@@ -13,14 +12,9 @@ from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.sim.warp_device import load_warp
 from tests.e2e import runs
+from tests.sim import test_warp
 
-pytestmark = [
-    pytest.mark.extras,
-    pytest.mark.timeout(600),  # kernels are compiled the first time: up to a minute for a kind of model
-    pytest.mark.skipif(
-        importlib.util.find_spec("mujoco_warp") is None, reason="mujoco-warp is not installed: pip install 'shes[warp]'"
-    ),
-]
+pytestmark = test_warp.pytestmark
 
 ANT = {"env": "ant-gather", "episodes_per_policy": 2, "generations": 2, "device": "warp-cpu"}
 """Every test has the ant's kernels: they are compiled once."""

@@ -2,7 +2,6 @@
 
 import json
 import re
-import runpy
 import shutil
 from pathlib import Path
 
@@ -20,8 +19,7 @@ from shes.runs.make_config import make_config
 from shes.viewing.playback import Playback
 from tests.e2e import runs
 from tests.envs.robot_files import ASSETS, FILTER, walker
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "run_exported.py"
+from tests.runs.test_export import run_exported
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +63,7 @@ def test_an_exported_agent_acts_as_ours(robot, trained, tmp_path, env):
     own = {"controller_view": "sectors", "controller_output": "heading_direction", "generations": 1}
     path = trained if env == "flagrun" else runs.train_tiny(tmp_path / "run", env, primitive=str(trained), **own)
     (file,) = shes.export(path, tmp_path / "policy.npz")
-    exported = runpy.run_path(str(EXAMPLE), run_name="run_exported")["ExportedAgent"](file)
+    exported = run_exported.ExportedAgent(file)
     agent = shes.load(path)
     env = gymnasium.make(f"shes/{env.title()}-v0", robot=str(robot), max_episode_steps=60)
     observation, _ = env.reset(seed=3)

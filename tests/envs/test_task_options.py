@@ -1,17 +1,12 @@
 """The options of a task as Python arguments: they are applied, or raise. `test_settings` tests kinds of values."""
 
-import gymnasium
 import numpy as np
 import pytest
 
-import shes  # registers
 from shes.envs.named_environments import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import setting_fields
 from tests.envs.episodes import make_task
-
-assert shes
-
 
 OUTSIDE = {"controller_interval": 0, "goal_distance": 0.99, "target": (0, -1000.1), "reset_noise": 1.0}
 
@@ -23,12 +18,6 @@ def test_a_value_out_of_range_is_refused_by_the_task(option, wrong):
     for kind in kinds:
         with pytest.raises((ConfigError, UnknownNameError)):
             kind(**{option: wrong})
-
-
-def test_gymnasium_takes_the_options_of_the_task():
-    env = gymnasium.make("shes/PointMaze-v0", target=np.array([1, 2]), evaluation=True)
-    env.reset(seed=0)
-    np.testing.assert_array_equal(env.unwrapped.task.target, [[1.0, 2.0]])
 
 
 def test_the_reward_is_the_progress_along_the_way():

@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from shes.es.level import LevelState, UpdateRule, draw_noise_index, group_weights, update_level
+from shes.es.level import LevelState, UpdateRule, group_weights, update_level
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS, Adam
 from tests.es.textbook import SIGNS
@@ -103,15 +101,6 @@ def test_diagnostics_without_a_value_are_nan(table, theta, shaped, signs, names)
     index, signs = np.array([5, 9])[: len(signs)], np.array(signs, np.int8)
     update = update_level(level_of([theta] * 7), np.array(shaped), signs, index, table, UpdateRule(), RATE)
     assert [name for name, value in vars(update).items() if name != "level" and np.isnan(value)] == names
-
-
-@given(seed=st.integers(0, 2**63), generation=st.integers(0, 10**6), groups=st.integers(1, 50), more=st.integers(0, 40))
-def test_every_noise_slice_lies_inside_the_table(seed, generation, groups, more):
-    assert set(draw_noise_index(0, 0, 500, (7,), 10)[0].tolist()) == {0, 1, 2, 3}  # the first and the last, too
-    index = draw_noise_index(seed, generation, groups, (7, 12), 12 + more)
-    assert index.shape == (2, groups)
-    assert index.min() >= 0
-    assert (index.max(axis=1) <= 12 + more - np.array([7, 12])).all()
 
 
 @pytest.mark.parametrize("values", [(0.1, 0.2), (1e-17, 1.0), (-0.3, 0.7)])

@@ -199,15 +199,6 @@ def test_a_branch_is_what_a_plain_loop_makes_of_its_start(beside, whole):
         assert np.ptp(pairs.results.returns[0].reshape(-1, 2), axis=1).all()  # the two sides differ
 
 
-def test_pairs_alone_teach_the_primitive(beside):
-    """The first step of Adam moves a parameter by the learning rate, whatever the gradient."""
-    report = next(evolve(beside.state, beside.settings, beside.table, beside.backend))
-    levels = zip(beside.state.levels, report.state.levels, strict=True)
-    moved = [np.abs(after.theta - before.theta).max() for before, after in levels]
-    assert moved == pytest.approx([0.01, 0.07], rel=1e-4)
-    assert [each.generation.sigma for each in report.populations] == [0.3, 0.2]
-
-
 def test_running_episodes_go_on_where_the_kept_side_ended(alone):
     """Four generations: some fall, some go on, all begin anew when their time is over."""
     state, seen = alone.state, set()

@@ -141,9 +141,6 @@ def test_a_chain_of_transfers_is_known_to_its_first_run(transferred, tmp_path, c
 
 @pytest.mark.parametrize("config", [None, [], {"run": {"env": "gone"}}])
 def test_a_damaged_origin_counts_by_its_path(copied, compared, config):
-    file = copied / "seed-1" / "config.json"
-    record = json.loads(file.read_text())
-    record["primitive"]["config"] = config
-    file.write_text(json.dumps(record))
+    runs.change_json(copied / "seed-1" / "config.json", lambda record: record["primitive"].update(config=config))
     with raises(ConfigError, "differ in primitive."):
         compared(copied)

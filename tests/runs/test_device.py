@@ -27,12 +27,6 @@ def record(path):
     return json.loads((path / "config.json").read_text())
 
 
-def change_record(path, change):
-    found = record(path)
-    change(found)
-    (path / "config.json").write_text(json.dumps(found))
-
-
 @pytest.fixture
 def stand_in(monkeypatch):
     """A record of devices whose physics is that of the CPU; its `facts` are what is told of each."""
@@ -73,7 +67,7 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy):
         old["config"]["workers"]["num_workers"] = 4  # for the CPU: a device does not mind
 
     heard = []
-    change_record(run_copy, age)
+    runs.change_json(run_copy / "config.json", age)
     for generation, settings in ((5, {}), (6, {"device": "cuda"}), (7, {}), (8, {}), (9, {"device": "cpu"})):
         if generation == 8:
             stand_in.facts["cuda"] = {"name": "cuda", "card": "Card 2"}
@@ -180,7 +174,7 @@ def test_there_are_never_more_workers_than_episodes(tmp_path, run_copy, monkeypa
         runs.train_tiny(tmp_path / "run", backend="processes", num_workers=60, evaluation_episodes=1, **settings)
 
     monkeypatch.setattr(ProcessesBackend, "__init__", begin)
-    change_record(run_copy, lambda found: found["config"]["workers"].update(backend="processes"))
+    runs.change_json(run_copy / "config.json", lambda found: found["config"]["workers"].update(backend="processes"))
     branches = {"primitive_estimate": "interval", "primitive_view": "egocentric", "primitive_population_size": 30}
     for start, expected in (
         (train, 8),

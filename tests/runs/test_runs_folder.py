@@ -81,13 +81,10 @@ def test_a_folder_goes_on_with_more_generations_and_seeds(tmp_path, capsys):
     assert "seed 7 is given twice" in refused(capsys, "train", "point-gather", "--seed", "7", "7")
     assert main(["resume", str(path), "--generations", "5"]) == 0
     assert set(generations(path).values()) == {5}
-    record = json.loads((path / "runs.json").read_text())
-    record["runs"]["seed-4"]["run"]["generations"] = 3
-    (path / "runs.json").write_text(json.dumps(record))
+    runs.change_json(path / "runs.json", lambda record: record["runs"]["seed-4"]["run"].update(generations=3))
     assert refused(capsys, "resume", path).endswith(f"have ended. To go on: shes resume {path} --generations 10")
-    for config in record["runs"].values():
-        config["run"] |= {"minutes": 1e-9, "generations": 6}
-    (path / "runs.json").write_text(json.dumps(record))
+    ended = {"minutes": 1e-9, "generations": 6}
+    runs.change_json(path / "runs.json", lambda record: [each["run"].update(ended) for each in record["runs"].values()])
     for table in path.glob("*/progress.csv"):  # as if each run had taken an hour: minutes are those of each
         *rows, last = table.read_text().splitlines()
         cells = last.split(",")

@@ -15,6 +15,7 @@ import shes
 from shes.runs.evaluate import evaluate
 from shes.runs.tables import read_csv
 from shes.viewing.report import estimate, report
+from tests.e2e import runs
 
 BAD = "<img src=x onerror=fail()>"
 QUICK = {"num_workers": 1, "video": False}
@@ -107,9 +108,8 @@ def test_an_estimate_is_mean_standard_error_and_interval():
 
 def test_nothing_in_the_files_of_a_run_becomes_part_of_the_page(kinds, tmp_path):
     bad = shutil.copytree(kinds["first"], tmp_path / BAD)
-    record = json.loads((bad / "config.json").read_text())
-    record["command"], record["git_commit"], record["machine"] = ["shes", BAD], BAD, {BAD: "</script>"}
-    (bad / "config.json").write_text(json.dumps(record))
+    changes = {"command": ["shes", BAD], "git_commit": BAD, "machine": {BAD: "</script>"}}
+    runs.change_json(bad / "config.json", lambda record: record.update(changes))
     for table in ("progress.csv", "evaluation.csv"):
         text = (bad / table).read_text().splitlines()
         (bad / table).write_text("\n".join([f"{text[0]},{BAD}", *(f"{row},{n}" for n, row in enumerate(text[1:])), ""]))
