@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from shes.errors import ConfigError, ShesError, import_extra
+from shes.errors import ConfigError, MissingExtraError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
@@ -158,7 +158,12 @@ def mean_difference_interval(first: F64Array, second: F64Array) -> tuple[float, 
 
 def check_scipy() -> ModuleType:
     """Return `scipy.stats`; raise MissingExtraError if SciPy is not installed."""
-    return import_extra("scipy.stats", "comparing runs needs SciPy", "Install it: pip install 'shes[compare]'.")
+    try:
+        from scipy import stats
+    except ImportError as error:
+        told = f"comparing runs needs SciPy ({error}). Install it: pip install 'shes[compare]'."
+        raise MissingExtraError(told) from error
+    return stats
 
 
 def permutation_test(first: F64Array, second: F64Array) -> float:
