@@ -32,7 +32,14 @@ _PLAIN: dict[str, Any] = {"fitness_shaping": "centred_rank", "learning_rate": 0.
 _PLAIN |= {"schedule_generations": 1000}
 FROZEN: dict[str, dict[str, Any]] = {
     "gather": {"generations": 75, "evaluation_interval": 15},
-    "maze": {**_PLAIN, "generations": 60, "evaluation_interval": 10},
+    "maze": {
+        "explore": "archive_starts",
+        "learning_rate": 0.05,
+        "learning_rate_end": 0.01,
+        "schedule_generations": 40,
+        "generations": 40,
+        "evaluation_interval": 10,
+    },
     "push": {
         **_PLAIN,
         "controller_interval": 10,
