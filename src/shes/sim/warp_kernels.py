@@ -12,6 +12,9 @@ from __future__ import annotations
 import mujoco
 import warp as wp
 
+__all__ = ["align_capsules", "begin_control_step", "check_substep", "end_control_step", "find_places", "move_rows"]
+__all__ += ["watch_buffers"]
+
 _MAX_VALUE = wp.constant(wp.float32(mujoco.mjMAXVAL))
 _PLANE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_PLANE)))
 _CAPSULE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_CAPSULE)))
