@@ -33,6 +33,12 @@ def test_nothing_slow_is_imported_before_it_is_needed():
         assert found & no_face == set()
 
 
+def test_a_reloaded_package_registers_its_environments():
+    reloaded = "import shes, importlib; importlib.reload(shes)"
+    (found,) = loaded_by(f"{reloaded}; import gymnasium, mujoco; gymnasium.spec('shes/AntGather-v0')")
+    assert found >= {"gymnasium", "mujoco", "shes"}
+
+
 def test_events_are_written_without_an_installed_pytorch(tmp_path):
     (tmp_path / "torch.py").touch()
     opened = f"import pathlib; sys.path.append({str(tmp_path)!r}); from shes.runs.tables import Events"

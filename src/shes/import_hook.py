@@ -14,13 +14,15 @@ class ImportHook:
     """A finder for `sys.meta_path`: `execute`, given the usual function and the module, executes module `name`."""
 
     def __init__(self, name: str, execute: Callable[[Callable[[ModuleType], None], ModuleType], None]) -> None:
-        self._name, self._execute = name, execute
+        self.hooked, self._execute = name, execute
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the spec of the module that the other finders find, with that loader; None for all other modules."""
-        others = [each for each in sys.meta_path if each is not self] if name == self._name else []
+        if name != self.hooked:
+            return None
+        others = [each for each in sys.meta_path if getattr(each, "hooked", None) != name]  # a reload adds one more
         spec = next(filter(None, (each.find_spec(name, path, target) for each in others)), None)
         if spec is not None and spec.loader is not None:
             spec.loader.exec_module = partial(self._execute, spec.loader.exec_module)  # type: ignore[method-assign]
