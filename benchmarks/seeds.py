@@ -33,7 +33,6 @@ _PLAIN |= {"schedule_generations": 1000}
 FROZEN: dict[str, dict[str, Any]] = {
     "gather": {"generations": 75, "evaluation_interval": 15},
     "maze": {
-        "explore": "archive_starts",
         "learning_rate": 0.05,
         "learning_rate_end": 0.01,
         "schedule_generations": 40,

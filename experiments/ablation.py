@@ -84,7 +84,6 @@ _CHOICES: dict[str, Variant] = {
 }
 _LEFT_OUT: dict[str, Variant] = {
     "no-search": Variant("no search for a path", {"explore": "none"}),
-    "no-starts": Variant("all episodes begin at the reset", {"explore": "archive"}),
     "no-branches": Variant("primitive by whole episodes", {"primitive_estimate": "episode"}),
     "no-egocentric-view": Variant("no egocentric view", {"primitive_view": "proprioception", "symmetry": "none"}),
     "no-position-view": Variant("controller sees everything", {"controller_view": "observation"}),

@@ -73,7 +73,7 @@ def test_the_weighted_sum_of_noise_has_the_bits_of_the_cpu(xp):
     ("env", "settings"),
     [
         ("ant-gather", {"controller_network": "equivariant", "primitive_estimate": "interval", **EQUIVARIANT}),
-        ("ant-push", {"explore": "archive_starts", "primitive_view": "egocentric"}),
+        ("ant-push", {"explore": "archive", "primitive_view": "egocentric"}),
         ("gather", {"robot": HEXAPOD}),
     ],
 )

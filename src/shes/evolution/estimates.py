@@ -215,7 +215,7 @@ def _episode_tasks(
         rng, decisions = stream(state.seed, Purpose.SNAPSHOTS, state.generation), -(-settings.horizon // interval)
         every = np.tile(interval * np.arange(decisions), (seeds.size, 1))
         snapshot_steps = [*map(tuple, rng.permuted(every, axis=1)[:, : -(-pairs // seeds.size)].tolist())]
-    starts = _starts_on_way(state, settings, groups)
+    starts = _starts_on_way(state, groups)
     return [
         EpisodeTask(
             member=group * members + first,
@@ -232,10 +232,9 @@ def _episode_tasks(
     ]
 
 
-def _starts_on_way(state: TrainState, settings: Hyperparameters, groups: int) -> list[Snapshot | None]:
-    """Return where each group begins: if asked, about half at random places of the way (Salimans and Chen 2018)."""
-    search, archive = settings.search, state.archive
-    if search is None or not search.has_starts or archive is None or not len(known := archive.starts):
+def _starts_on_way(state: TrainState, groups: int) -> list[Snapshot | None]:
+    """Return where each group begins: about half at random places of the way found (Salimans and Chen 2018)."""
+    if state.archive is None or not len(known := state.archive.starts):
         return [None] * groups
     rng = stream(state.seed, Purpose.STARTS, state.generation)
     is_on_way, places = rng.random(groups) < 0.5, rng.integers(0, len(known), groups)

@@ -25,10 +25,10 @@ from shes.settings import Choices, Example, Ge, Gt, Needs, Settings, Shown
 class ExplorationSettings(Settings):
     """Exploration."""
 
-    explore: Literal["none", "archive", "archive_starts"] = "none"
+    explore: Literal["none", "archive"] = "none"
     """Search for a path to the target: none, or an archive of places to which a simulation goes back. Progress along
-    the path found is then the reward of training. With archive_starts, about half of its episodes begin on the path."""
-    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive", "archive_starts"))] | None = None
+    the path found is then the reward of training, and about half of its episodes begin on the path."""
+    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
     """Longest path of the search in control steps; none for the horizon."""
 
 
@@ -239,7 +239,6 @@ _TO_BLOCK = {**_ANT_TO_TARGET, **_STIFF, "fall_price": 3.0}
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
-    "explore": "archive_starts",
     "symmetry": "auto",
     "controller_interval": 10,
     "fitness_shaping": "pair_rank",  # the members of a pair begin at the same place of the path

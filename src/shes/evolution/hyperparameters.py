@@ -103,7 +103,6 @@ def _way_search(problem: Problem) -> WaySearch:
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
         longest=settings.episodes.horizon if learns(settings)[-1] else np.inf,  # one that learns walks faster later
-        has_starts=settings.exploration.explore == "archive_starts",
     )
 
 

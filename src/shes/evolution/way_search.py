@@ -51,8 +51,6 @@ class WaySearch:
     """Most slices in a generation until a way is known; later it is one."""
     longest: float = np.inf
     """Control steps of a longer way, with which the search does not end."""
-    has_starts: bool = False
-    """Whether half of the groups of whole episodes begin on the way."""
 
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
