@@ -75,6 +75,14 @@ def test_a_follower_begins_in_a_cell_of_the_way_as_it_is_now():
         cells, numbers = archive.choose_on_way(np.random.default_rng(0), 200, last_step)
         assert dict(zip(numbers.tolist(), archive.steps[cells].tolist(), strict=True)) == begun
     assert archive.way.tolist() == [[0.1, 0.2], [3, 0], [2, 0], [1, 0], [0, 9]]
+    assert sorted(archive.starts[:, 0]) == [10, 12, 30]  # so do episodes of training, but not at the reset
+
+
+def test_nobody_begins_where_a_walker_lay():
+    archive = entered(line((1, 0), (20, 0), (3, 0), (4, 0)), [10, 30, 40], [1, 3, 4], solved=[4]).after_slice()
+    cells, numbers = archive.choose_on_way(np.random.default_rng(0), 200, 100)
+    assert dict(zip(numbers.tolist(), archive.steps[cells].tolist(), strict=True)) == {0: 0, 1: 10, 3: 30}
+    assert sorted(archive.starts[:, 0]) == [10, 30]
 
 
 def test_a_walk_begins_in_any_direction():
@@ -101,8 +109,8 @@ def test_a_search_ends_slices_after_its_last_shorter_way():
         for number in range(1, PATIENCE):
             archive = archive.after_slice()
             assert (archive.stalled, archive.is_over) == (number, False)
-    goes_on, archive = (archive.after_slice(steps) for steps in (19, 20))
-    assert (goes_on.is_over, archive.is_over, archive.states.shape, len(archive.cells)) == (False, True, (0, 3), 2)
+    going_on, archive = (archive.after_slice(goes_on=each) for each in (True, False))
+    assert (going_on.is_over, archive.is_over, archive.states.shape, len(archive.cells)) == (False, True, (0, 3), 2)
 
 
 def test_news_of_a_search_are_told_once():

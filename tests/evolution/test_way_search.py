@@ -79,7 +79,7 @@ def test_a_search_finds_a_way_shortens_it_and_ends():
     assert (archive.is_over, archive.stalled, archive.way_steps) == (True, PATIENCE, 10 * (len(archive.way) - 1))
     assert np.hypot(*(archive.way[[0, -1]] - [(0, 0), (7, 0)]).T).tolist() == [0, pytest.approx(0, abs=2)]
     assert np.linalg.norm(np.diff(archive.way, axis=0), axis=1) == pytest.approx(1)  # a step of a walker each
-    places, inner = (set(map(tuple, each[:, :2].round(9).tolist())) for each in (archive.starts, archive.way[1:-1]))
+    places, inner = (set(map(tuple, each[:, :2].round().tolist())) for each in (archive.starts, archive.way[1:-1]))
     assert 1 < len(places) == len(places & inner)
     known = [state.archive.way_steps for state in found if state.archive.way_steps]
     assert known == sorted(known, reverse=True)
@@ -123,7 +123,17 @@ def test_a_frozen_primitive_searches_until_a_way_is_known():
     *others, frozen = (build_algorithm(make_config("ant-maze", "laptop", each)) for each in cases)
     assert [each.hyperparameters.practice for each in (*others, frozen)] == [60, 0, 0]
     searches = (each.hyperparameters.search for each in (frozen, built()))
-    assert [(each.slices, each.longest) for each in searches] == [(way_search.SLICES, np.inf), (1, 20)]
+    assert [(each.slices, each.goes_on) for each in searches] == [(way_search.SLICES, False), (1, True)]
+
+
+def test_with_a_primitive_that_learns_a_stalled_search_goes_on_at_times():
+    archives = [state.archive for state in searched(1.0, 40, goes_on=True)[0]]
+    assert not archives[-1].is_over
+    pairs = [*enumerate(zip(archives, archives[1:], strict=False), 1)]
+    rested = {number for number, (before, after) in pairs if before.env_steps == after.env_steps}
+    stalled = {number for number, (before, _) in pairs if before.stalled >= PATIENCE}
+    assert rested == {number for number in stalled if number % way_search.REST} != set()
+    assert stalled - rested != set()
 
 
 def test_followers_head_for_points_ahead_on_the_way():
@@ -135,11 +145,18 @@ def test_followers_head_for_points_ahead_on_the_way():
     passed = [each.steps // 10 for each in first]
     assert len(set(passed)) > 2
     for starts, least, most in ((first, 2, 3), (second, 3, 6)):
+        aheads = set()
         for i, start in zip(passed, starts, strict=True):
             aims = way[[min(i + ahead, len(way) - 1) for ahead in range(least, most + 1)]]
             x, y = (aims - (np.zeros(2) if start.state is None else start.state[:2])).T
             goals = 4 * np.stack([np.cos(np.arctan2(y, x)), np.sin(np.arctan2(y, x))], axis=1)
-            assert np.abs(goals - start.goals[0]).sum(axis=1).min() < 1e-9
+            off = np.abs(goals - start.goals[0]).sum(axis=1)
+            assert off.min() < 1e-9
+            aheads.add(int(off.argmin()))
+        assert len(aheads) > 1  # each at its own pace
+    at_reset = sum(start.steps == 0 for start in backend.starts)
+    archive = found[-1].archive
+    assert archive.chosen[archive.steps == 0].tolist() == [at_reset]
     assert len({start.goals.tobytes() for start in backend.starts[begun:][:WALKERS]}) > WALKERS // 2  # others wander
 
 

@@ -102,7 +102,7 @@ def _way_search(problem: Problem) -> WaySearch:
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
         slices=1 if learns(settings)[-1] else SLICES,
-        longest=settings.episodes.horizon if learns(settings)[-1] else np.inf,  # one that learns walks faster later
+        goes_on=learns(settings)[-1],
     )
 
 
@@ -197,8 +197,9 @@ def _check_exploration(settings: Any) -> None:
             "package have. Set --explore none."
         )
     longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
-    if longest is not None and longest < interval:
-        raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
+    if (longest or settings.episodes.horizon) < interval:
+        name, value = ("explore_horizon", longest) if longest else ("horizon", settings.episodes.horizon)
+        raise out_of_range(name, value, f"at least controller_interval, {interval}: one decision of the search")
     if environment.task.training_square and settings.environment.target is None:
         fault, fix = "the training target is random", "--target, e.g. --target 0 16"
     elif settings.hierarchy.primitive_view == "observation":

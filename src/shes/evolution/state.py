@@ -15,7 +15,7 @@ from shes.rollout.episodes import Snapshot
 from shes.types import BoolArray, F64Array, IntArray
 
 PATIENCE = 5
-"""The search is over if this many slices have not shortened the way."""
+"""The search has stalled if this many slices have not shortened the way."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class Archive:
     way_nodes: IntArray
     """Nodes from the reset to the shortest success [W]; empty until a way is known."""
     starts: F64Array
-    """Physics states [C, S] of cells on the way, in which episodes of training may begin; empty without a way."""
+    """Physics states of the cells on the way, in which episodes of training may begin; empty without a way."""
     way_steps: int = 0
     """Control steps of the way; 0 until one is known."""
     stalled: int = 0
@@ -85,6 +85,12 @@ class Archive:
         """Positions [W, X] at the decisions from the reset to the shortest success."""
         return self.positions[self.way_nodes]
 
+    @property
+    def cells_on_way(self) -> IntArray:
+        """The cell in which each point of the way but the last lies [W - 1]; -1 where the walker lay."""
+        cell = {tuple(place): i for i, place in enumerate(self.cells.tolist())}
+        return np.array([cell.get(tuple(place), -1) for place in self.places[self.way_nodes[:-1]].tolist()], np.int64)
+
     def choose(self, rng: np.random.Generator, number: int, last_step: int) -> IntArray:
         """Return the cells [number] of walkers, among those reached by step `last_step`, with repetition.
 
@@ -94,10 +100,9 @@ class Archive:
         return rng.choice(len(weights), number, p=weights / weights.sum())
 
     def choose_on_way(self, rng: np.random.Generator, number: int, last_step: int) -> tuple[IntArray, IntArray]:
-        """Return cells [number] through which the way leads, as `choose`, and their numbers [number] on it."""
-        cell = np.unique(np.concatenate([self.cells, self.places[self.way_nodes]]), axis=0, return_inverse=True)[1]
-        passed = cell.reshape(-1)[len(self.nodes) : -1]  # cells are unique and in order
-        early = np.flatnonzero(self.steps[passed] <= max(last_step, 0))
+        """Return cells [number] of random points of the way, as `choose`, and the numbers [number] of these points."""
+        passed = self.cells_on_way
+        early = np.flatnonzero((passed >= 0) & (self.steps[passed] <= max(last_step, 0)))
         numbers = early[rng.integers(len(early), size=number)]
         return passed[numbers], numbers
 
@@ -127,11 +132,10 @@ class Archive:
         way = [int(nodes[shortest])]
         while way[-1]:
             way.append(int(self.parents[way[-1]]))
-        starts = grown.states[np.isin(grown.nodes, way[1:-1])]  # success and reset are left out
-        return replace(grown, way_nodes=np.array(way[::-1]), way_steps=int(steps[shortest]), starts=starts, stalled=-1)
+        return replace(grown, way_nodes=np.array(way[::-1]), way_steps=int(steps[shortest]), stalled=-1)
 
-    def after_slice(self, longest: float = np.inf) -> Archive:
-        """Return the archive after a slice of the search: without nodes that lead nowhere, or without states."""
+    def after_slice(self, *, goes_on: bool = False) -> Archive:
+        """Return the archive after a slice: without nodes that lead nowhere; if the search is over, without states."""
         is_used = np.zeros(len(self.parents), dtype=np.bool_)
         is_used[0], ends = True, np.concatenate([self.nodes, self.way_nodes])
         while len(ends := ends[~is_used[ends]]):
@@ -142,8 +146,10 @@ class Archive:
         stalled, parents = self.stalled + 1 if self.way_steps else 0, number[self.parents[is_used]]
         used = {name: getattr(self, name)[is_used] for name in ("positions", "places")}
         used |= {name: number[getattr(self, name)] for name in ("nodes", "way_nodes")}
-        after = replace(self, **used, parents=parents, stalled=stalled)
-        return replace(after, states=self.states[:0]) if stalled >= PATIENCE and self.way_steps <= longest else after
+        cells = np.unique(self.cells_on_way)
+        starts = self.states[cells[(cells >= 0) & (self.steps[cells] > 0)]]
+        after = replace(self, **used, parents=parents, stalled=stalled, starts=starts)
+        return replace(after, states=self.states[:0]) if stalled >= PATIENCE and not goes_on else after
 
     def news(self, before: Archive) -> list[str]:
         """Return in words what has happened since `before`."""

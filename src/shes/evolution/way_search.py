@@ -16,7 +16,7 @@ import numpy as np
 
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
-from shes.evolution.state import Archive, TrainState
+from shes.evolution.state import PATIENCE, Archive, TrainState
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import roll_out_tasks
 from shes.streams import Purpose, stream
@@ -29,6 +29,8 @@ MAX_PACE = 3.0
 """Most decisions' worth of the way that a follower tries to cover with one decision."""
 SLICE_STEPS = 32_000
 """Environment steps of a slice of the search, at least."""
+REST = 5
+"""Generations from slice to slice of a search that has stalled."""
 SLICES = 10
 """Slices in a generation in which nothing else can be learned."""
 _DECISIONS = 5
@@ -49,22 +51,25 @@ class WaySearch:
     """Distance of the primitive's goals in metres."""
     slices: int = 1
     """Most slices in a generation until a way is known; later it is one."""
-    longest: float = np.inf
-    """Control steps of a longer way, with which the search does not end."""
+    goes_on: bool = False
+    """Whether a stalled search goes on in every `REST`-th generation: with a primitive that learns to walk faster."""
 
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
     """Return `state` after more of the search, which its environment steps include. It ends by `PATIENCE`."""
-    if search is None or state.archive is None or state.archive.is_over:
+    archive = state.archive
+    if search is None or archive is None or archive.is_over:
         return state
-    archive, rng = state.archive, stream(state.seed, Purpose.ARCHIVE, state.generation)
+    if archive.stalled >= PATIENCE and state.generation % REST:
+        return state
+    rng = stream(state.seed, Purpose.ARCHIVE, state.generation)
     mean = (LevelParameters.of(state.levels[-1].theta, state.levels[-1].statistics),)
     walk = Generation(levels=mean, sigma=0, episodes_per_policy=1, kind="exploration", branch_steps=search.interval)
     for _ in range(search.slices):
         last_step = archive.env_steps + SLICE_STEPS
         while archive.env_steps < last_step:
             archive = _walk(archive, search, walk, rng, backend)
-        archive = archive.after_slice(search.longest)
+        archive = archive.after_slice(goes_on=search.goes_on)
         if archive.way_steps:
             break
     return replace(state, archive=archive, env_steps=state.env_steps + archive.env_steps - state.archive.env_steps)
