@@ -1,6 +1,7 @@
 """The search for a way during evolution: when it goes on, what it costs, and whom its way guides."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ def test_a_frozen_primitive_searches_until_a_way_is_known():
 def test_with_a_primitive_that_learns_a_stalled_search_goes_on_at_times():
     archives = [state.archive for state in searched(1.0, 40, goes_on=True)[0]]
     assert not archives[-1].is_over
-    pairs = [*enumerate(zip(archives, archives[1:], strict=False), 1)]
+    pairs = [*enumerate(pairwise(archives), 1)]
     rested = {number for number, (before, after) in pairs if before.env_steps == after.env_steps}
     stalled = {number for number, (before, _) in pairs if before.stalled >= PATIENCE}
     assert rested == {number for number in stalled if number % way_search.REST} != set()

@@ -57,9 +57,9 @@ class WaySearch:
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
     """Return `state` after more of the search, which its environment steps include. It ends by `PATIENCE`."""
-    archive = state.archive
-    if search is None or archive is None or archive.is_over:
+    if search is None or state.archive is None or state.archive.is_over:
         return state
+    archive = before = state.archive
     if archive.stalled >= PATIENCE and state.generation % REST:
         return state
     rng = stream(state.seed, Purpose.ARCHIVE, state.generation)
@@ -72,7 +72,7 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         archive = archive.after_slice(goes_on=search.goes_on)
         if archive.way_steps:
             break
-    return replace(state, archive=archive, env_steps=state.env_steps + archive.env_steps - state.archive.env_steps)
+    return replace(state, archive=archive, env_steps=state.env_steps + archive.env_steps - before.env_steps)
 
 
 def _walk(
