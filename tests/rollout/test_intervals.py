@@ -36,7 +36,7 @@ ALONE = replace(BESIDE, updates=SETTINGS.updates[:1], learns=(True,))
      (4, 0, 0, 6), (4, 300, 2, 3), (40, 300, 0, 4), (5, 300, 0, 6), (0, 300, 0, 6), (4, 300, 3, 6)],
 )  # fmt: skip
 def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice, going):
-    """Snapshots are used evenly; practice and a search run on, too. Pairs of a task share noise, seed and start."""
+    """Snapshots are used evenly; practice and a search run on, also on the way. Pairs share noise, seed and start."""
     left, before, state, generation = [], (), formula_state(), 2
     settings = replace(BESIDE, practice=practice)
     ends = [Snapshot(state=np.full(4, -1.0), steps=10), None] * 3
@@ -47,7 +47,8 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
         success = {40: [1, 0, 0], 5: [0, 0, 0]}.get(number, [1, 0, 1])  # of the whole episodes: the snapshots' share
         shown = {"snapshots": {0: left[:1], 1: left[1:]}, "outcomes": {"success": np.array(success, np.bool_)}}
         before = (SimpleNamespace(results=SimpleNamespace(**shown)),)
-    archive = None if way_steps is None else SimpleNamespace(way_steps=way_steps)
+    known = np.arange(8.0).reshape(2, 4)[: way_steps or 0]
+    archive = None if way_steps is None else SimpleNamespace(way_steps=way_steps, starts=known)
     state = replace(state, generation=generation, archive=archive, running=tuple(ends))
     draws = draw_pairs(state, settings, 1000, before)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(8, generation))))
@@ -56,8 +57,13 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number, way_steps, practice,
     if before:
         goes_on = rng.random(going) >= 0.3
         goals = [[(4 * np.cos(angle), 4 * np.sin(angle)) for angle in own] for own in wander(rng, 2, going).T]
-        resets = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(starts)]
-        starts = [replace(end, goals=np.array(own)) for end, own in zip(resets, goals, strict=True)]
+        places = [None] * going
+        if way_steps:
+            is_on_way, chosen = rng.random(going) < 0.5, rng.integers(0, 2, going)
+            places = [known[i] if on_way else None for i, on_way in zip(chosen, is_on_way, strict=True)]
+        begun = [Snapshot(state=place, steps=0) for place in places]
+        begun = [end if goes_on[i] and end else begun[i] for i, end in enumerate(starts)]
+        starts = [replace(end, goals=np.array(own)) for end, own in zip(begun, goals, strict=True)]
         order = rng.permutation(number)
         starts += [left[order[group % number]] for group in range(PAIRS - going)]
     # The primitive's noise is that of its level: neither level's says anything of the other's.

@@ -24,7 +24,7 @@ from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import MIRRORINGS, Signs, member_signs
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.evolution.state import TrainState
+from shes.evolution.state import Archive, TrainState
 from shes.evolution.way_search import WaySearch
 from shes.rollout.episodes import EpisodeTask, Generation, Snapshot, wander
 from shes.rollout.roll_out import PopulationResults
@@ -215,7 +215,7 @@ def _episode_tasks(
         rng, decisions = stream(state.seed, Purpose.SNAPSHOTS, state.generation), -(-settings.horizon // interval)
         every = np.tile(interval * np.arange(decisions), (seeds.size, 1))
         snapshot_steps = [*map(tuple, rng.permuted(every, axis=1)[:, : -(-pairs // seeds.size)].tolist())]
-    starts = _starts_on_way(state, groups)
+    starts = _starts_on_way(state.archive, stream(state.seed, Purpose.STARTS, state.generation), groups)
     return [
         EpisodeTask(
             member=group * members + first,
@@ -232,13 +232,12 @@ def _episode_tasks(
     ]
 
 
-def _starts_on_way(state: TrainState, groups: int) -> list[Snapshot | None]:
-    """Return where each group begins: about half at random places of the way found (Salimans and Chen 2018)."""
-    if state.archive is None or not len(known := state.archive.starts):
-        return [None] * groups
-    rng = stream(state.seed, Purpose.STARTS, state.generation)
-    is_on_way, places = rng.random(groups) < 0.5, rng.integers(0, len(known), groups)
-    return [Snapshot(state=known[i], steps=0) if is_on_way[group] else None for group, i in enumerate(places.tolist())]
+def _starts_on_way(archive: Archive | None, rng: np.random.Generator, number: int) -> list[Snapshot | None]:
+    """Return where new episodes begin: about half at random places of the way found (Salimans and Chen 2018)."""
+    if archive is None or not len(known := archive.starts):
+        return [None] * number
+    places = np.where(rng.random(number) < 0.5, rng.integers(0, len(known), number), -1)
+    return [Snapshot(state=known[i], steps=0) if i >= 0 else None for i in places.tolist()]
 
 
 def draw_pairs(
@@ -265,7 +264,8 @@ def draw_pairs(
         goes_on = (rng.random(len(running)) >= _NEW_EPISODE).tolist()
         angles = wander(rng, estimate.intervals, len(running)).T
         goals = estimate.goal_distance * np.stack([np.cos(angles), np.sin(angles)], axis=2)
-        ends = [end if goes_on[i] and end else Snapshot(state=None, steps=0) for i, end in enumerate(running)]
+        new, begun = Snapshot(state=None, steps=0), _starts_on_way(archive, rng, len(running))
+        ends = [end if goes_on[i] and end else begun[i] or new for i, end in enumerate(running)]
         running = [replace(end, goals=own) for end, own in zip(ends, goals, strict=True)]
         order = rng.permutation(len(snapshots))
         drawn = [snapshots[order[group % len(order)]] for group in range(groups - len(running))]
