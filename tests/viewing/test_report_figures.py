@@ -129,7 +129,7 @@ def test_each_goal_appears_once(kinds, tmp_path):
 
 
 def test_the_map_of_a_search_shows_cells_and_the_way(tmp_path):
-    settings = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 25}
+    settings = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 20}
     folder = RunFolder(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings))
     last = folder.checkpoint_path("last")
     with np.load(last) as file:

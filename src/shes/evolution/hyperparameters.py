@@ -196,10 +196,10 @@ def _check_exploration(settings: Any) -> None:
             f"{asked} {settings.run.env} has no target with a way to search for: only Maze, Push and Fall of this "
             "package have. Set --explore none."
         )
-    longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
-    if (longest or settings.episodes.horizon) < interval:
-        name, value = ("explore_horizon", longest) if longest else ("horizon", settings.episodes.horizon)
-        raise out_of_range(name, value, f"at least controller_interval, {interval}: one decision of the search")
+    limits, interval = settings.values, settings.hierarchy.controller_interval
+    longest = "horizon" if limits["explore_horizon"] is None else "explore_horizon"
+    if limits[longest] < interval:
+        raise out_of_range(longest, limits[longest], f"at least controller_interval, {interval}: one decision")
     if environment.task.training_square and settings.environment.target is None:
         fault, fix = "the training target is random", "--target, e.g. --target 0 16"
     elif settings.hierarchy.primitive_view == "observation":

@@ -57,12 +57,10 @@ class WaySearch:
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
     """Return `state` after more of the search, which its environment steps include. It ends by `PATIENCE`."""
-    if search is None or state.archive is None or state.archive.is_over:
+    before = state.archive
+    if search is None or before is None or before.is_over or (before.stalled >= PATIENCE and state.generation % REST):
         return state
-    archive = before = state.archive
-    if archive.stalled >= PATIENCE and state.generation % REST:
-        return state
-    rng = stream(state.seed, Purpose.ARCHIVE, state.generation)
+    archive, rng = before, stream(state.seed, Purpose.ARCHIVE, state.generation)
     mean = (LevelParameters.of(state.levels[-1].theta, state.levels[-1].statistics),)
     walk = Generation(levels=mean, sigma=0, episodes_per_policy=1, kind="exploration", branch_steps=search.interval)
     for _ in range(search.slices):
@@ -86,7 +84,7 @@ def _walk(
         cells[:FOLLOWERS], passed = archive.choose_on_way(rng, FOLLOWERS, last_step)
         ahead = np.ceil(np.outer(np.arange(1, decisions + 1), rng.uniform(1, MAX_PACE, FOLLOWERS)))
         aims = archive.way[np.minimum(passed + ahead.astype(np.int64), len(archive.way) - 1), :2]
-    archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
+    archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.nodes)))
     steps = archive.steps[cells].tolist()
     starts = [Snapshot(state=archive.states[i] if n else None, steps=n) for i, n in zip(cells, steps, strict=True)]
     walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
@@ -110,8 +108,7 @@ def _walk(
         ]
         results = roll_out_tasks(tasks, generation, backend)
         archive = replace(archive, env_steps=archive.env_steps + int(results.steps.sum()))
-        lives = np.array([(walker, 0) in results.snapshots for walker in walkers.tolist()])
-        walkers = walkers[lives]
+        walkers = walkers[[(walker, 0) in results.snapshots for walker in walkers.tolist()]]
         if not len(walkers):
             break
         starts = [results.snapshots[walker, 0][0] for walker in walkers.tolist()]
