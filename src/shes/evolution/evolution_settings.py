@@ -229,13 +229,13 @@ _ANT_TO_TARGET = {
     "learning_rate_end": 0.005,  # with constant rates each level loses what the other has adapted to
     "primitive_learning_rate": None,
     "practice": 60,
-    "schedule_generations": 140,
+    "schedule_generations": 70,
     "generations": 130,  # later evaluations of Maze are no better
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
 # A higher rate: falls. Goals of 10 steps, or less practice: a late path. A price of 8: no push that tilts the robot.
-_STIFF = {"learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80, "generations": 220}
-_TO_BLOCK = {**_ANT_TO_TARGET, **_STIFF, "fall_price": 3.0, "primitive_reward": "metres"}
+_TO_BLOCK = {**_ANT_TO_TARGET, "learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80}
+_TO_BLOCK |= {"schedule_generations": 140, "generations": 220, "fall_price": 3.0, "primitive_reward": "metres"}
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
