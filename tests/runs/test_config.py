@@ -90,6 +90,7 @@ REFUSED = [
     ("gymnasium:Pendulum-v1", SEARCHED, "Pendulum-v1 has no target with a way ... Set --explore none"),
     ("point-flagrun", {"explore": "archive"}, "explore is not a setting of a run of point-flagrun ... Omit"),
     ("point-maze", SEARCHED, "the training target is random. Set --target, e.g. --target 0 16, or --explore none"),
+    ("point-push", {**SEARCHED, "horizon": 24}, "horizon must be at least controller_interval, 25 ... , got 24. Set"),
     ("point-push", {**SEARCHED, "explore_horizon": 9}, "must be at least controller_interval, 25 ... , got 9. Set"),
     ("point-push", {"explore": "archive", "primitive_view": "observation"},
      "sees the task's ... Set --primitive-view egocentric or p"),

@@ -246,8 +246,9 @@ def draw_pairs(
     """Return the mirrored pairs that intervals evaluate in the generation that follows `state`.
 
     They start from snapshots of the whole episodes `before`; without such episodes, running ones continue. In practice,
-    running episodes with goals that wander belong to all pairs. With a search, a share of pairs starts from snapshots:
-    the success rate, at most half. Untrained controllers lead into walls, where a primitive forgets how to walk.
+    running episodes with goals that wander belong to all pairs; with a search, new ones can begin on the way. Then, a
+    share of pairs starts from snapshots: the success rate, at most half. Untrained controllers lead into walls, where a
+    primitive forgets how to walk.
     """
     estimate, generation, level = settings.intervals, state.generation, len(state.levels) - 1
     assert estimate is not None, "pairs belong to an interval estimate"

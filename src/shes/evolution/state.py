@@ -87,7 +87,7 @@ class Archive:
 
     @property
     def cells_on_way(self) -> IntArray:
-        """The cell in which each point of the way but the last lies [W - 1]; -1 where the walker lay."""
+        """The cell in which each point of the way but the last lies [W - 1]; -1 where nobody stood."""
         cell = {tuple(place): i for i, place in enumerate(self.cells.tolist())}
         return np.array([cell.get(tuple(place), -1) for place in self.places[self.way_nodes[:-1]].tolist()], np.int64)
 
@@ -147,7 +147,7 @@ class Archive:
         used = {name: getattr(self, name)[is_used] for name in ("positions", "places")}
         used |= {name: number[getattr(self, name)] for name in ("nodes", "way_nodes")}
         cells = np.unique(self.cells_on_way)
-        starts = self.states[cells[(cells >= 0) & (self.steps[cells] > 0)]]
+        starts = self.states[cells[(cells >= 0) & (self.steps[cells] > 0) & (self.steps[cells] < self.way_steps)]]
         after = replace(self, **used, parents=parents, stalled=stalled, starts=starts)
         return replace(after, states=self.states[:0]) if stalled >= PATIENCE and not goes_on else after
 

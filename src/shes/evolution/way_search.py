@@ -56,7 +56,7 @@ class WaySearch:
 
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
-    """Return `state` after more of the search, which its environment steps include. It ends by `PATIENCE`."""
+    """Return `state` after more of the search, which its environment steps include."""
     before = state.archive
     if search is None or before is None or before.is_over or (before.stalled >= PATIENCE and state.generation % REST):
         return state
@@ -77,7 +77,7 @@ def _walk(
     archive: Archive, search: WaySearch, generation: Generation, rng: np.random.Generator, backend: Backend
 ) -> Archive:
     """Return the archive after a few decisions of walkers that begin in its cells."""
-    decisions = max(1, min(_DECISIONS, search.horizon // search.interval))
+    decisions = min(_DECISIONS, search.horizon // search.interval)
     last_step, aims = search.horizon - decisions * search.interval, np.zeros((decisions, 0, 2))
     cells = archive.choose(rng, WALKERS, last_step)
     if archive.way_steps:
