@@ -83,6 +83,8 @@ def test_nobody_begins_where_a_walker_lay():
     cells, numbers = archive.choose_on_way(np.random.default_rng(0), 200, 100)
     assert dict(zip(numbers.tolist(), archive.steps[cells].tolist(), strict=True)) == {0: 0, 1: 10, 3: 30}
     assert sorted(archive.starts[:, 0]) == [10, 30]
+    later = entered(grown(archive, [0], [(20, 0)]), [90], [len(archive.parents)]).after_slice()
+    assert sorted(later.starts[:, 0]) == [10, 30]  # there, somebody stood later than at the target
 
 
 def test_a_walk_begins_in_any_direction():
