@@ -230,7 +230,7 @@ _ANT_TO_TARGET = {
     "primitive_learning_rate": None,
     "practice": 60,
     "schedule_generations": 70,
-    "generations": 130,  # later evaluations of Maze are no better
+    "generations": 130,
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
 # A higher rate: falls. Goals of 10 steps, or less practice: a late path. A price of 8: no push that tilts the robot.
