@@ -53,7 +53,7 @@ def test_seldom_chosen_cells_with_steps_left_are_chosen_more():
     drawn = np.bincount(archive.choose(np.random.default_rng(0), 20_000, 30), minlength=4) / 20_000
     weights = np.array([1 / 2, 1, 1 / 3, 0])
     assert drawn == pytest.approx(weights / weights.sum(), abs=0.01)
-    assert set(archive.choose(np.random.default_rng(0), 50, -5)) == {0}  # there is always the reset
+    assert set(archive.choose(np.random.default_rng(0), 50, 0)) == {0}  # there is always the reset
 
 
 def test_the_way_is_the_shortest_chain_of_nodes_to_a_success():
@@ -71,7 +71,7 @@ def test_a_follower_begins_in_a_cell_of_the_way_as_it_is_now():
     archive = grown(line((3, 0), (2, 0), (1, 0), (0, 9)), [0, 5], [(2, 0), (0, 9)])  # cells are sorted by coordinates
     archive = entered(archive, [10, 20, 30, 40], [1, 2, 3, 4], solved=[4])
     archive = entered(archive, [12, 17], [5, 6]).after_slice()  # its second and last cell are reached in fewer steps
-    for last_step, begun in ((30, {0: 0, 1: 10, 2: 12, 3: 30}), (29, {0: 0, 1: 10, 2: 12}), (-5, {0: 0})):
+    for last_step, begun in ((30, {0: 0, 1: 10, 2: 12, 3: 30}), (29, {0: 0, 1: 10, 2: 12}), (0, {0: 0})):
         cells, numbers = archive.choose_on_way(np.random.default_rng(0), 200, last_step)
         assert dict(zip(numbers.tolist(), archive.steps[cells].tolist(), strict=True)) == begun
     assert archive.way.tolist() == [[0.1, 0.2], [3, 0], [2, 0], [1, 0], [0, 9]]

@@ -62,11 +62,11 @@ def decode(states):
     return np.round(places).astype(int), places.copy(), places[:, 1] <= 3, np.hypot(*(places - (7, 0)).T) < 2
 
 
-def searched(speed, generations, horizon=200, **settings):
+def searched(speed, generations, horizon=200, *, primitive_learns=False):
     """Return the states of a search without physics after each generation, and its backend."""
     start = Archive.start(np.zeros((1, 2), np.int64), np.zeros((1, 2)), 3)
     search = way_search.WaySearch(decode=decode, start=start, interval=10, horizon=horizon,
-                                  goal_distance=4.0, **settings)  # fmt: skip
+                                  goal_distance=4.0, primitive_learns=primitive_learns)  # fmt: skip
     state, backend, found = replace(built().start(3), archive=start), Steering(speed), []
     for generation in range(generations):
         state = way_search.explore(replace(state, generation=generation), search, backend)
@@ -113,9 +113,11 @@ def test_walkers_turn_at_times_each_in_directions_of_its_own():
     assert archive.chosen.sum() > begun >= WALKERS
 
 
-def test_a_frozen_primitive_searches_until_a_way_is_known():
+def test_a_frozen_primitive_searches_until_a_way_is_known(monkeypatch):
     """Many slices in one generation, as long as nothing else can be learned; a slice is one walk here."""
-    slowly, found, limited = (searched(0.4, *most, 400, slices=of)[0] for *most, of in ((12, 1), (2, 10), (1, 2)))
+    slowly, found = (searched(0.4, most, 400, primitive_learns=learns)[0] for most, learns in ((12, True), (2, False)))
+    monkeypatch.setattr(way_search, "SLICES", 2)
+    limited = searched(0.4, 1, 400)[0]
     assert 2 < [bool(state.archive.way_steps) for state in slowly].index(True) + 1 <= 10
     assert [bool(state.archive.way_steps) for state in (*found, *limited)] == [True, True, False]
     later = found[1].env_steps - found[0].env_steps
@@ -124,11 +126,11 @@ def test_a_frozen_primitive_searches_until_a_way_is_known():
     *others, frozen = (build_algorithm(make_config("ant-maze", "laptop", each)) for each in cases)
     assert [each.hyperparameters.practice for each in (*others, frozen)] == [60, 0, 0]
     searches = (each.hyperparameters.search for each in (frozen, built()))
-    assert [(each.slices, each.goes_on) for each in searches] == [(way_search.SLICES, False), (1, True)]
+    assert [each.primitive_learns for each in searches] == [False, True]
 
 
 def test_with_a_primitive_that_learns_a_stalled_search_goes_on_at_times():
-    archives = [state.archive for state in searched(1.0, 40, goes_on=True)[0]]
+    archives = [state.archive for state in searched(1.0, 40, primitive_learns=True)[0]]
     assert not archives[-1].is_over
     pairs = [*enumerate(pairwise(archives), 1)]
     rested = {number for number, (before, after) in pairs if before.env_steps == after.env_steps}

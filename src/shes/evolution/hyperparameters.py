@@ -18,7 +18,7 @@ from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.evolution.estimates import Hyperparameters, IntervalEstimate
 from shes.evolution.evolution_settings import HierarchySettings
 from shes.evolution.state import Archive
-from shes.evolution.way_search import SLICES, WaySearch
+from shes.evolution.way_search import WaySearch
 from shes.options import make
 from shes.settings import flag, out_of_range, setting_fields
 
@@ -101,8 +101,7 @@ def _way_search(problem: Problem) -> WaySearch:
         interval=interval,
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
-        slices=1 if learns(settings)[-1] else SLICES,
-        goes_on=learns(settings)[-1],
+        primitive_learns=learns(settings)[-1],
     )
 
 

@@ -96,13 +96,13 @@ class Archive:
 
         The weight of a cell is 1 / sqrt(1 + times chosen).
         """
-        weights = np.where(self.steps <= max(last_step, 0), 1 / np.sqrt(1 + self.chosen), 0.0)
+        weights = np.where(self.steps <= last_step, 1 / np.sqrt(1 + self.chosen), 0.0)
         return rng.choice(len(weights), number, p=weights / weights.sum())
 
     def choose_on_way(self, rng: np.random.Generator, number: int, last_step: int) -> tuple[IntArray, IntArray]:
         """Return cells [number] of random points of the way, as `choose`, and the numbers [number] of these points."""
         passed = self.cells_on_way
-        early = np.flatnonzero((passed >= 0) & (self.steps[passed] <= max(last_step, 0)))
+        early = np.flatnonzero((passed >= 0) & (self.steps[passed] <= last_step))
         numbers = early[rng.integers(len(early), size=number)]
         return passed[numbers], numbers
 

@@ -32,7 +32,7 @@ SLICE_STEPS = 32_000
 REST = 5
 """Generations from slice to slice of a search that has stalled."""
 SLICES = 10
-"""Slices in a generation in which nothing else can be learned."""
+"""Slices in a generation in which nothing else can be learned, until a way is known."""
 _DECISIONS = 5
 
 
@@ -49,10 +49,8 @@ class WaySearch:
     """Most control steps from the reset to a place."""
     goal_distance: float
     """Distance of the primitive's goals in metres."""
-    slices: int = 1
-    """Most slices in a generation until a way is known; later it is one."""
-    goes_on: bool = False
-    """Whether a stalled search goes on in every `REST`-th generation: with a primitive that learns to walk faster."""
+    primitive_learns: bool
+    """Whether the primitive learns to walk faster: then a stalled search goes on in every `REST`-th generation."""
 
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
@@ -63,11 +61,11 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
     archive, rng = before, stream(state.seed, Purpose.ARCHIVE, state.generation)
     mean = (LevelParameters.of(state.levels[-1].theta, state.levels[-1].statistics),)
     walk = Generation(levels=mean, sigma=0, episodes_per_policy=1, kind="exploration", branch_steps=search.interval)
-    for _ in range(search.slices):
+    for _ in range(1 if search.primitive_learns else SLICES):
         last_step = archive.env_steps + SLICE_STEPS
         while archive.env_steps < last_step:
             archive = _walk(archive, search, walk, rng, backend)
-        archive = archive.after_slice(goes_on=search.goes_on)
+        archive = archive.after_slice(goes_on=search.primitive_learns)
         if archive.way_steps:
             break
     return replace(state, archive=archive, env_steps=state.env_steps + archive.env_steps - before.env_steps)
