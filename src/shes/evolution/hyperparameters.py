@@ -192,8 +192,8 @@ def _check_exploration(settings: Any) -> None:
     asked = f"explore is {settings.exploration.explore!r}, but"
     if not environment.task.has_places:
         raise ConfigError(
-            f"{asked} {settings.run.env} has no target with a way to search for: only Maze, Push and Fall of this "
-            "package have. Set --explore none."
+            f"{asked} {settings.run.env} has no target with a way to search for: only this package's Maze, Push and "
+            "Fall have one. Set --explore none."
         )
     limits, interval = settings.values, settings.hierarchy.controller_interval
     longest = "horizon" if limits["explore_horizon"] is None else "explore_horizon"
