@@ -28,8 +28,6 @@ EPISODES = 200
 CONTROLLERS = ("trained", "constant", "random")
 WALKERS = {"gather": "ant-walker", "maze": "ant-walker", "push": "ant-walker-stiff", "fall": "ant-walker-stiff"}
 """The shipped walker of each task."""
-_PLAIN: dict[str, Any] = {"fitness_shaping": "centred_rank", "learning_rate": 0.05, "learning_rate_end": None}
-_PLAIN |= {"schedule_generations": 1000}
 FROZEN: dict[str, dict[str, Any]] = {
     "gather": {"generations": 75, "evaluation_interval": 15},
     "maze": {
@@ -39,15 +37,8 @@ FROZEN: dict[str, dict[str, Any]] = {
         "generations": 40,
         "evaluation_interval": 10,
     },
-    "push": {
-        **_PLAIN,
-        "controller_interval": 10,
-        "learning_rate_end": 0.01,
-        "schedule_generations": 100,
-        "generations": 100,
-        "evaluation_interval": 10,
-    },
-    "fall": {**_PLAIN, "generations": 120, "evaluation_interval": 20},
+    "push": {"learning_rate": 0.03, "schedule_generations": 60, "generations": 60, "evaluation_interval": 20},
+    "fall": {"generations": 120, "evaluation_interval": 20},
 }
 """Settings over the preset of a controller on a walker."""
 

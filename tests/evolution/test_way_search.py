@@ -125,8 +125,7 @@ def test_a_frozen_primitive_searches_until_a_way_is_known(monkeypatch):
     cases = {}, {"primitive_estimate": "episode", "fitness_shaping": "centred_rank"}, {"primitive": "ant-walker"}
     *others, frozen = (build_algorithm(make_config("ant-maze", "laptop", each)) for each in cases)
     assert [each.hyperparameters.practice for each in (*others, frozen)] == [60, 0, 0]
-    searches = (each.hyperparameters.search for each in (frozen, built()))
-    assert [each.primitive_learns for each in searches] == [False, True]
+    assert [each.hyperparameters.search.primitive_learns for each in (frozen, built())] == [False, True]
 
 
 def test_with_a_primitive_that_learns_a_stalled_search_goes_on_at_times():

@@ -86,7 +86,7 @@ REFUSED = [
     ("ant-gather", {"like": "ant-maze", "sigm": 1}, "unknown setting 'sigm'. Did you mean 'sigma'"),
     ("ant-gather", {"like": "ant-maze", "preset": "smoke"}, "preset has no effect with like, got 'smoke'. Omit --p"),
     # Search for a way.
-    ("point-gather", SEARCHED, "point-gather has no target with a way ... only Maze, Push and Fall ... --explore none"),
+    ("point-gather", SEARCHED, "point-gather has no target with a way ... only this package's Maze ... --explore none"),
     ("gymnasium:Pendulum-v1", SEARCHED, "Pendulum-v1 has no target with a way ... Set --explore none"),
     ("point-flagrun", {"explore": "archive"}, "explore is not a setting of a run of point-flagrun ... Omit"),
     ("point-maze", SEARCHED, "the training target is random. Set --target, e.g. --target 0 16, or --explore none"),
