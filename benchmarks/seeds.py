@@ -37,7 +37,13 @@ FROZEN: dict[str, dict[str, Any]] = {
         "generations": 40,
         "evaluation_interval": 10,
     },
-    "push": {"learning_rate": 0.03, "schedule_generations": 60, "generations": 60, "evaluation_interval": 20},
+    "push": {
+        "population_size": 120,
+        "learning_rate": 0.03,
+        "schedule_generations": 60,
+        "generations": 60,
+        "evaluation_interval": 20,
+    },
     "fall": {"generations": 120, "evaluation_interval": 20},
 }
 """Settings over the preset of a controller on a walker."""

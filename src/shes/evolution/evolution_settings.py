@@ -234,10 +234,8 @@ _ANT_TO_TARGET = {
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
 # A higher rate: falls. Goals of 10 steps, or less practice: a late path. A price of 8: no push that tilts the robot.
-# 40 controllers: they push towards the corner of block and wall, where robots fall.
 _TO_BLOCK = {**_ANT_TO_TARGET, "learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80}
-_TO_BLOCK |= {"schedule_generations": 100, "generations": 180, "fall_price": 3.0, "primitive_reward": "metres"}
-_TO_BLOCK |= {"population_size": 120}
+_TO_BLOCK |= {"schedule_generations": 140, "generations": 220, "fall_price": 3.0, "primitive_reward": "metres"}
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
