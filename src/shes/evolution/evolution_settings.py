@@ -204,6 +204,7 @@ _ANT: dict[str, Any] = {
 _ANT_TO_FOOD = {
     **_ANT,
     "hidden": (8,),
+    "primitive_hidden": (),
     "controller_network": "equivariant",
     "controller_view": "sectors",
     "controller_output": "heading_direction",
@@ -233,9 +234,10 @@ _ANT_TO_TARGET = {
     "generations": 130,
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
-# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A price of 8: no push that tilts the robot.
+# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A higher price: slow, no push that tilts.
 _TO_BLOCK = {**_ANT_TO_TARGET, "learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80}
-_TO_BLOCK |= {"schedule_generations": 140, "generations": 220, "fall_price": 3.0, "primitive_reward": "metres"}
+_TO_BLOCK |= {"schedule_generations": 140, "generations": 220, "fall_price": 2.0, "primitive_reward": "metres"}
+_TO_BLOCK["primitive_hidden"] = ()
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
