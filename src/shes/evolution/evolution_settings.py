@@ -213,12 +213,7 @@ _ANT_TO_FOOD = {
     "learning_rate": 0.02,
     "generations": 120,
 }
-_TO_TARGET: dict[str, Any] = {
-    "hidden": (32,),
-    "controller_view": "position",
-    "controller_output": "direction",
-    "explore": "archive",
-}
+_TO_TARGET = {"hidden": (32,), "controller_view": "position", "controller_output": "direction", "explore": "archive"}
 _ANT_TO_TARGET = {
     **_ANT,
     **_TO_TARGET,
