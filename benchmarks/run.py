@@ -19,7 +19,7 @@ from time import sleep
 
 import psutil
 
-LAPTOP = "--hidden 64 64 --horizon 500 --population-size 240"
+LAPTOP = "--hidden 64 64 --primitive-hidden 64 64 --horizon 500 --population-size 240"
 PAPER = "--preset paper --population-size 40 --noise-table-size 25000000"
 SECONDS = "--seconds 60"
 TARGETS = ("maze", "push", "fall")

@@ -231,7 +231,7 @@ _ANT_TO_TARGET = {
 }
 # A higher rate: falls. Goals of 10 steps, or less practice: a late path. A higher price: slow, no push that tilts.
 _TO_BLOCK = {**_ANT_TO_TARGET, "learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80}
-_TO_BLOCK |= {"schedule_generations": 220, "generations": 260, "fall_price": 2.0, "primitive_reward": "metres"}
+_TO_BLOCK |= {"schedule_generations": 220, "generations": 300, "fall_price": 2.0, "primitive_reward": "metres"}
 _TO_BLOCK["primitive_hidden"] = ()
 _POINT_TO_TARGET = {
     **_BRANCHES,
