@@ -16,7 +16,7 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
-from run import LAPTOP, SECONDS, bench, write_csv
+from run import SECONDS, bench, write_csv
 
 import shes  # noqa: F401 - registers the environments
 from shes.envs.named_environments import ENVIRONMENTS
@@ -28,12 +28,12 @@ REQUIRED = 0.85
 
 
 def tasks() -> list[dict[str, object]]:
-    """Measure and print every task in training relative to bare `mj_step`: 64 x 64 policies, one worker."""
+    """Measure and print every task in training relative to bare `mj_step`: preset `laptop`, one worker."""
     print(f"| {'task':16} | env steps/s | bare mj_step/s | ratio | required |")
     print(f"|{'-' * 18}|------------:|---------------:|------:|---------:|")
     rows: list[dict[str, object]] = []
     for name in ENVIRONMENTS:
-        found = bench(f"{name} --workers 1 {LAPTOP} {SECONDS}")
+        found = bench(f"{name} --workers 1 {SECONDS}")
         speed, bare, ratio = found["env_steps_per_s"], found["bare_steps_per_s"], found["ratio"]
         print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {REQUIRED:>8} |", flush=True)
         rows.append({"what": name, "steps_per_s": speed, "bare_per_s": bare, "ratio": ratio})

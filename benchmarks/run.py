@@ -19,17 +19,16 @@ from time import sleep
 
 import psutil
 
-LAPTOP = "--hidden 64 64 --primitive-hidden 64 64 --horizon 500 --population-size 240"
+MLP = "--controller-network mlp --hidden 64 64 --primitive-hidden 64 64 --population-size 240"
 PAPER = "--preset paper --population-size 40 --noise-table-size 25000000"
 SECONDS = "--seconds 60"
-TARGETS = ("maze", "push", "fall")
+TASKS = ("gather", "flagrun", "maze", "push", "fall")
 ROLLOUTS = [
-    ("Ant Gather, 64 x 64, 1 worker", 0.90, f"ant-gather --workers 1 {LAPTOP}"),
-    ("Ant Gather, 64 x 64, 2 workers", None, f"ant-gather --workers 2 {LAPTOP}"),
-    ("Ant Flagrun, 64 x 64, 1 worker", 0.90, "ant-flagrun --workers 1 --hidden 64 64"),
-    *((f"Ant {task.title()}, 64 x 64, 1 worker", 0.90, f"ant-{task} --workers 1 {LAPTOP}") for task in TARGETS),
+    *((f"Ant {task.title()}, 1 worker", 0.90, f"ant-{task} --workers 1") for task in TASKS),
+    ("Ant Gather, 64 x 64, 1 worker", 0.90, f"ant-gather --workers 1 {MLP}"),
+    ("Ant Gather, 64 x 64, 2 workers", None, f"ant-gather --workers 2 {MLP}"),
     ("Ant Gather, 3 x 256, 1 worker", 0.75, f"ant-gather --workers 1 {PAPER}"),
-    ("Point Gather, 64 x 64, 1 worker", None, f"point-gather --workers 1 {LAPTOP}"),
+    ("Point Gather, 64 x 64, 1 worker", None, f"point-gather --workers 1 {MLP}"),
 ]
 """Name, required ratio and arguments of `shes bench rollout`."""
 
@@ -82,7 +81,7 @@ def main() -> None:
         speed, bare, ratio = (measured[key] for key in ("env_steps_per_s", "bare_steps_per_s", "ratio"))
         found |= {f"{name}: env_steps_per_s": speed, f"{name}: bare_steps_per_s": bare, f"{name}: ratio": ratio}
         print(f"| {name:34} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {required or '':>8} |", flush=True)
-    one, two = (found[f"{name}: env_steps_per_s"] for name, *_ in ROLLOUTS[:2])
+    one, two = (found[f"Ant Gather, 64 x 64, {n}: env_steps_per_s"] for n in ("1 worker", "2 workers"))
     print(f"\nSpeed-up of two workers: {two / one:.2f}.")
     memory = worker_memory_mb()
     print(f"\nA worker of the paper's size holds at most {memory:,.0f} MB beyond the noise table.")

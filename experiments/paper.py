@@ -47,7 +47,7 @@ _WORDS = {
     "ties": "… and output layers at zero, no update of ties",
     "gait": "… and a clock, a price of falls, output layers at zero",
     "goals": "… and goals of 1 s at full distance",
-    "equivariant": "… and an equivariant controller",
+    "equivariant": "… and an equivariant controller, a linear primitive",
     PIECES: "with the learning changes",
     HIRO: "HIRO",
 }
