@@ -2,6 +2,7 @@
 
 - `frozen`: a controller on a shipped walker (`shes train ant-gather --primitive ant-walker`).
 - `coevolved`: both levels together from scratch (`shes train ant-gather`; with `--body point`, the point's twin).
+- `without`: the same in Gather, for 60 generations, with everything and without one change at a time.
 
 Every run can be interrupted at any time: the same command goes on, with several workers or runs at once. The
 tables have rows for the best and the last checkpoint of each run over 200 fresh episodes of the task as specified, and
@@ -25,6 +26,7 @@ from shes.runs.train import finish_run
 
 EPISODES = 200
 """Fresh episodes on which the best checkpoint of a run is evaluated."""
+WAYS = ("frozen", "coevolved", "without")
 CONTROLLERS = ("trained", "constant", "random")
 WALKERS = {"gather": "ant-walker", "maze": "ant-walker", "push": "ant-walker-stiff", "fall": "ant-walker-stiff"}
 """The shipped walker of each task."""
@@ -47,10 +49,27 @@ FROZEN: dict[str, dict[str, Any]] = {
     "fall": {"generations": 120, "evaluation_interval": 20},
 }
 """Settings over the preset of a controller on a walker."""
+LEFT_OUT: dict[str, dict[str, Any]] = {
+    "everything": {},
+    "no equivariant network": {"controller_network": "mlp", "controller_view": "observation", "hidden": (32,)},
+    "no egocentric view": {"primitive_view": "proprioception", "symmetry": "none"},
+    "no symmetry": {"symmetry": "none"},
+    "no branches": {"primitive_estimate": "episode", "population_size": 240},
+    "no zero output": {"output_weights": "glorot_normal"},
+    "no clock": {"clock_frequency": None},
+    "no price of falls": {"fall_price": 0.0},
+    "no linear primitive": {"primitive_hidden": (64, 64)},
+    "no short goals": {"controller_interval": 25},
+}
+"""Settings over the preset without one change. Whole episodes need more than 40 for a primitive."""
+WITHOUT = {"env_steps": 3_400_000, "generations": 1000}
+"""The budget of these runs: 60 generations of the preset."""
 
 
 def settings_of(task: str, way: str, seed: int) -> dict[str, Any]:
     """Return the settings of a run over preset `laptop`."""
+    if way in LEFT_OUT:
+        return {"seed": seed, **WITHOUT, **LEFT_OUT[way]}
     own = {"primitive": WALKERS[task], "evaluation_episodes": 100, **FROZEN[task]} if way == "frozen" else {}
     return {"seed": seed, **own}
 
@@ -87,18 +106,21 @@ def main() -> None:
     parser.add_argument("task", choices=tuple(WALKERS))
     parser.add_argument("--body", choices=("ant", "point"), default="ant", help="of the point: coevolved alone")
     parser.add_argument("--out", type=Path, help="folder of the runs; by default in runs")
-    parser.add_argument("--only", nargs="+", choices=("frozen", "coevolved"), default=["frozen", "coevolved"])
+    parser.add_argument("--only", nargs="+", choices=WAYS, default=WAYS[:2])
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(11, 21)), help="seeds (default: 11 to 20)")
     parser.add_argument("--workers", type=int, default=0, help="workers of a run; 0 is one for every core")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
     if asked.body == "point" and "frozen" in asked.only:
         parser.error("no walker is shipped for the point: add --only coevolved")
+    if "without" in asked.only and (asked.task, asked.body) != ("gather", "ant"):
+        parser.error("`without` is for the ant in Gather")
     task = asked.task if asked.body == "ant" else f"{asked.body}_{asked.task}"
     out, rows, curves = asked.out or Path("runs") / task, list[Any](), list[Any]()
-    for way in asked.only:
+    ways = [name for way in asked.only for name in (LEFT_OUT if way == "without" else [way])]
+    for way in ways:
         for seed in asked.seeds:
-            path = out / way / f"seed_{seed}"
+            path = out / way.replace(" ", "_") / f"seed_{seed}"
             settings = {**settings_of(asked.task, way, seed), "num_workers": asked.workers}
             finish_run(make_config(f"{asked.body}-{asked.task}", overrides=settings), path)
             if asked.results is not None:
