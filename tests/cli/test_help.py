@@ -41,17 +41,14 @@ def test_every_command_explains_itself(shes, command):
         assert word not in text
 
 
-@pytest.mark.parametrize(
-    ("function", "name", "known"),
-    [
+def test_the_choices_are_those_there_are():
+    for function, name, known in (
         (plot.plot, "x", plot.X_AXES),
         (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
         (comparison.compare, "measure", comparison.MEASURES),
-    ],
-)
-def test_the_choices_are_those_there_are(function, name, known):
-    assert set(get_args(get_type_hints(function)[name])) == set(known)
+    ):
+        assert set(get_args(get_type_hints(function)[name])) == set(known)
 
 
 def test_a_command_has_the_help_of_the_function_behind_it(shes):

@@ -190,25 +190,22 @@ _ANT_WALKER = {**_BRANCHES, "symmetry": "dihedral", "clock_frequency": 0.8, "fal
 _ANT: dict[str, Any] = {
     **_ANT_WALKER,
     "intervals": 3,
-    "primitive_hidden": (64, 64),
+    "primitive_hidden": (),
     "controller_interval": 10,
     "minimum_goal_distance": False,
-    "population_size": 200,
+    "population_size": 40,  # in as many steps, few controllers have more updates
     "sigma": 0.1,
     "learning_rate": 0.05,
     "primitive_population_size": 1200,
     "primitive_sigma": 0.05,
     "primitive_learning_rate": 0.015,
 }
-# Few controllers: in as many steps they have more updates.
 _ANT_TO_FOOD = {
     **_ANT,
     "hidden": (8,),
-    "primitive_hidden": (),
     "controller_network": "equivariant",
     "controller_view": "sectors",
     "controller_output": "heading_direction",
-    "population_size": 40,
     "sigma": 0.05,
     "learning_rate": 0.02,
     "generations": 120,
@@ -219,20 +216,18 @@ _ANT_TO_TARGET = {
     **_TO_TARGET,
     "max_tilt": 60.0,
     "explore_horizon": 1500,  # a slow walker finds the way, and a faster one a shorter way
-    "population_size": 40,
     "fitness_shaping": "pair_rank",
     "learning_rate": 0.02,
-    "learning_rate_end": 0.005,  # with constant rates each level loses what the other has adapted to
-    "primitive_learning_rate": None,
-    "practice": 60,
-    "schedule_generations": 70,
-    "generations": 130,
+    "learning_rate_end": 0.005,  # of the controller; the primitive goes on to walk faster
+    "primitive_reward": "metres",
+    "fall_price": 4.0,
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
-# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A higher price: slow, no push that tilts.
+_ANT_TO_TARGET |= {"practice": 60, "schedule_generations": 70, "generations": 130}
+# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A higher price: no push, since it tilts.
 _TO_BLOCK = {**_ANT_TO_TARGET, "learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80}
-_TO_BLOCK |= {"schedule_generations": 220, "generations": 300, "fall_price": 2.0, "primitive_reward": "metres"}
-_TO_BLOCK["primitive_hidden"] = ()
+_TO_BLOCK |= {"schedule_generations": 220, "generations": 300, "evaluation_interval": 20}
+_TO_BLOCK |= {"fall_price": 2.0, "primitive_learning_rate": None}  # its rate falls, too
 _POINT_TO_TARGET = {
     **_BRANCHES,
     **_TO_TARGET,
@@ -259,7 +254,7 @@ _ROBOT_WALKER: dict[str, Any] = {
 }
 _ROBOT = {**_ANT, **_ROBOT_WALKER, "controller_interval": 25}
 _ROBOT_TO_TARGET = {**_ROBOT, **_TO_TARGET, "explore_horizon": 4000, "max_tilt": 60.0, "generations": 200}
-_ROBOT_TO_TARGET |= {"horizon": 2000, "evaluation_horizon": 2000, "practice": 80}
+_ROBOT_TO_TARGET |= {"horizon": 2000, "evaluation_horizon": 2000, "practice": 80, "population_size": 200}
 
 SHES_PRESETS: Mapping[str, Preset] = {
     **SES_PRESETS,
@@ -287,7 +282,7 @@ SHES_PRESETS: Mapping[str, Preset] = {
                 "learning_rate": 0.02,
                 "generations": 200,
             },
-            "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "population_size": 40, "goal_distance": 4.0},
+            "gather": {**_ANT_TO_FOOD, **_ROBOT, "hidden": (8,), "goal_distance": 4.0},
             "maze": {**_ROBOT_TO_TARGET, "target": (0.0, 16.0)},
             **dict.fromkeys(("push", "fall"), _ROBOT_TO_TARGET),
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
