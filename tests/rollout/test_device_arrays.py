@@ -47,7 +47,7 @@ CHOICES = {
     ),
     "position": ("point-maze", {**UNSEARCHED, "controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": ("ant-flagrun", {**EGOCENTRIC, "symmetry": "rotation", "max_tilt": 20.0}),
-    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0, "fitness_shaping": "centred_rank"}),
+    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 14.0, "fitness_shaping": "centred_rank"}),
 }  # fmt: skip
 
 

@@ -79,7 +79,7 @@ REFUSED = [
     ("ant-maze", {"preset": "papr"}, "unknown preset 'papr'. Did you mean 'paper'? ... Set --preset"),
     # Like another run.
     (None, {"like": "gone"}, "gone does not exist. Give the folder that `shes train` printed"),
-    (None, {"like": "ant-maze", "algorithm": "es"}, "practice is 0 in ant-maze, but it is not a setting"),
+    (None, {"like": "ant-maze", "algorithm": "es"}, "fall_price is 8.0 in ant-maze, but it is not a setting"),
     (None, {"like": "ant-walker"}, "took its primitive from fifth-walker@last, ... --primitive ant-walker, or set"),
     (None, {"like": 3}, "a run must be the path of its folder or the name of a shipped agent, got 3."),
     ("point-maze", {"like": "ant-maze"}, "does not fit point-maze: it was trained on ant-flagrun for the ant"),
