@@ -224,7 +224,7 @@ _ANT_TO_TARGET = {
     "evaluation_episodes": 200,  # with 50, the best of the last evaluations is the luckiest
 }
 _ANT_TO_TARGET |= {"practice": 60, "schedule_generations": 70, "generations": 130}
-# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A higher price: in the end, they push less.
+# A higher rate: falls. Goals of 10 steps, or less practice: a late path. A higher price: worse in the end.
 _TO_BLOCK = {**_ANT_TO_TARGET, "learning_rate": 0.015, "controller_interval": 25, "intervals": 1, "practice": 80}
 _TO_BLOCK |= {"schedule_generations": 220, "generations": 300, "evaluation_interval": 20}
 _TO_BLOCK |= {"fall_price": 2.0, "primitive_learning_rate": None}  # its rate falls, too
